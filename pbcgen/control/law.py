@@ -1,0 +1,108 @@
+"""The controller as data: what `emit` prints and the reference step runs.
+
+One step of every law has the same form. With the measurement ``m``, the controller state ``xi`` and ``t = tanh(s)``:
+
+1. *prepare*   ``c = c(m, xi)`` and ``N = N(m)``;
+2. *solve*     ``s + N tanh(s) = c`` (one solution: N is a product of positive definite and positive diagonal factors);
+3. *update*    ``xi <- X(m, xi, t)`` and ``u = U(m, xi, t)``, then u is clamped to its interval.
+
+The saturated arguments s are the arguments of the tanh terms of the law, at the *updated* controller state: step 2
+is backward Euler for the stiff filters x_c, x_l, and the algebraic loop of the law `passive-output`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from fractions import Fraction
+from typing import Literal
+
+from pbcgen.symbolic.tape import Tape
+
+Precision = Literal["float", "double"]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A scalar that crosses the interface: an input, an output or a state of the controller."""
+
+    name: str
+    unit: str = ""
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class ScalarSolve:
+    """Channel ``index``: ``s + mu tanh(s) = c`` with ``mu = N[index, index] >= 0``.
+
+    Newton's method from ``max(r/(1+mu), r-mu)`` for ``r = abs(c)`` needs ``iterations`` steps for an error of at
+    most ``error_bound`` in s for every c in exact arithmetic.
+    """
+
+    index: int
+    iterations: int
+    error_bound: float
+
+
+@dataclass(frozen=True)
+class VectorSolve:
+    """Channels ``indices``: ``s + N tanh(s) = c`` with a full block N, by damped Newton steps.
+
+    The residual is halved at the most ``backtracks`` times a step. A residual above ``tolerance * (1 + max|c|)``
+    after ``iterations`` steps is reported in the status; u stays in its interval all the same.
+    """
+
+    indices: tuple[int, ...]
+    iterations: int
+    backtracks: int
+    tolerance: float
+
+
+class Fallback(Enum):
+    """What a step outputs when an input is not a finite number."""
+
+    EQUILIBRIUM = "the equilibrium input -kappa"
+    LAST_OUTPUT = "the last valid output"
+
+
+@dataclass(frozen=True)
+class ControlLaw:
+    """A discretised saturated controller.
+
+    Attributes:
+        name: the design's name.
+        law: one of the law names (``dynamic-extension``, ...).
+        precision: the arithmetic of the generated code.
+        sample_period: h in seconds, exact.
+        inputs: the measured signals, in the order of m.
+        outputs: the actuator signals, in the order of u.
+        states: the controller states, in the order of xi; every one starts at zero.
+        prepare: tape with inputs (m, xi) and outputs (c: ns x 1, N: ns x ns sparse).
+        update: tape with inputs (m, xi, t) and outputs (next xi, u). ``u`` is not yet clamped.
+        solves: which rows of the loop equation are solved together; they partition 0..ns-1.
+        intervals: exact bounds [lo, hi] of each u. The emitted clamp rounds them inward.
+        equilibrium_output: -kappa, inside ``intervals``; also the initial "last valid output".
+        fallback: the output for non-finite inputs.
+        ranges: for each input the declared range (lo, hi), where there is one; documentation, not a check.
+    """
+
+    name: str
+    law: str
+    precision: Precision
+    sample_period: Fraction
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    states: tuple[Signal, ...]
+    prepare: Tape
+    update: Tape
+    solves: tuple[ScalarSolve | VectorSolve, ...]
+    intervals: tuple[tuple[Fraction, Fraction], ...]
+    equilibrium_output: tuple[float, ...]
+    fallback: Fallback
+    ranges: Mapping[str, tuple[Fraction, Fraction]] = field(default_factory=dict)
+
+    @property
+    def channels(self) -> int:
+        """The number ns of saturated arguments."""
+        return self.prepare.outputs[0].shape[0]

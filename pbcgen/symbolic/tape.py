@@ -1,0 +1,256 @@
+"""The instruction tape of a CasADi SX function, in static single assignment form.
+
+CasADi stores an SX function as a list of scalar instructions on reusable registers. :class:`Tape` renames the
+registers so that every value is written once, reads the constants as exact rationals, and can then be walked
+with any :class:`Algebra`: exact rationals, balls, NumPy arrays, SymPy expressions, C text.
+
+Shared subexpressions stay shared: walking is linear in the number of instructions, where an expression tree may
+be exponentially larger.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, Generic, Protocol, TypeVar
+
+import casadi as ca
+
+from pbcgen.errors import ModelError, UnsupportedOperation
+
+T = TypeVar("T")
+
+#: Scalar operations of SX, by CasADi operation code: (name, number of operands). The name is the method that
+#: an :class:`Algebra` provides. Operations with the same meaning share a name.
+OPERATIONS: Mapping[int, tuple[str, int]] = {
+    ca.OP_ASSIGN: ("assign", 1),
+    ca.OP_ADD: ("add", 2),
+    ca.OP_SUB: ("sub", 2),
+    ca.OP_MUL: ("mul", 2),
+    ca.OP_DIV: ("div", 2),
+    ca.OP_NEG: ("neg", 1),
+    ca.OP_EXP: ("exp", 1),
+    ca.OP_LOG: ("log", 1),
+    ca.OP_POW: ("pow", 2),
+    ca.OP_CONSTPOW: ("pow", 2),
+    ca.OP_SQRT: ("sqrt", 1),
+    ca.OP_SQ: ("sq", 1),
+    ca.OP_TWICE: ("twice", 1),
+    ca.OP_SIN: ("sin", 1),
+    ca.OP_COS: ("cos", 1),
+    ca.OP_TAN: ("tan", 1),
+    ca.OP_ASIN: ("asin", 1),
+    ca.OP_ACOS: ("acos", 1),
+    ca.OP_ATAN: ("atan", 1),
+    ca.OP_LT: ("lt", 2),
+    ca.OP_LE: ("le", 2),
+    ca.OP_EQ: ("eq", 2),
+    ca.OP_NE: ("ne", 2),
+    ca.OP_NOT: ("not_", 1),
+    ca.OP_AND: ("and_", 2),
+    ca.OP_OR: ("or_", 2),
+    ca.OP_FLOOR: ("floor", 1),
+    ca.OP_CEIL: ("ceil", 1),
+    ca.OP_FMOD: ("fmod", 2),
+    ca.OP_REMAINDER: ("remainder", 2),
+    ca.OP_FABS: ("fabs", 1),
+    ca.OP_SIGN: ("sign", 1),
+    ca.OP_COPYSIGN: ("copysign", 2),
+    ca.OP_IF_ELSE_ZERO: ("if_else_zero", 2),
+    ca.OP_ERF: ("erf", 1),
+    ca.OP_ERFINV: ("erfinv", 1),
+    ca.OP_FMIN: ("fmin", 2),
+    ca.OP_FMAX: ("fmax", 2),
+    ca.OP_INV: ("inv", 1),
+    ca.OP_SINH: ("sinh", 1),
+    ca.OP_COSH: ("cosh", 1),
+    ca.OP_TANH: ("tanh", 1),
+    ca.OP_ASINH: ("asinh", 1),
+    ca.OP_ACOSH: ("acosh", 1),
+    ca.OP_ATANH: ("atanh", 1),
+    ca.OP_ATAN2: ("atan2", 2),
+    ca.OP_LOG1P: ("log1p", 1),
+    ca.OP_EXPM1: ("expm1", 1),
+    ca.OP_HYPOT: ("hypot", 2),
+    ca.OP_LIFT: ("assign_first", 2),
+    ca.OP_PRINTME: ("assign_first", 2),
+}
+
+_NAME_OF_CODE = {getattr(ca, name): name for name in dir(ca) if name.startswith("OP_")}
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A literal of the graph, read as the shortest decimal that denotes the stored double (0.1 is 1/10)."""
+
+    value: Fraction
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """Nonzero number ``index`` of input number ``argument``."""
+
+    argument: int
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """``name`` applied to earlier values of the tape, given by their positions."""
+
+    name: str
+    operands: tuple[int, ...]
+
+
+Instruction = Constant | Input | Operation
+
+
+class Algebra(Protocol[T]):
+    """What a tape is walked with: a meaning for constants, and a method named like each operation."""
+
+    def const(self, value: Fraction) -> T:
+        """The meaning of a literal."""
+        ...
+
+
+@dataclass(frozen=True)
+class Matrix(Generic[T]):
+    """A sparse matrix of values: the result of walking one output."""
+
+    shape: tuple[int, int]
+    entries: Mapping[tuple[int, int], T]
+
+    def dense(self, zero: T) -> list[list[T]]:
+        """Rows, with ``zero`` at the structural zeros."""
+        rows, columns = self.shape
+        return [[self.entries.get((i, j), zero) for j in range(columns)] for i in range(rows)]
+
+    def column(self, zero: T) -> list[T]:
+        """The entries of a one-column matrix (ValueError for other shapes)."""
+        if self.shape[1] != 1:
+            raise ValueError(f"a column was expected, the shape is {self.shape}")
+        return [row[0] for row in self.dense(zero)]
+
+    def scalar(self, zero: T) -> T:
+        """The only entry of a 1x1 matrix (ValueError for other shapes)."""
+        if self.shape != (1, 1):
+            raise ValueError(f"a scalar was expected, the shape is {self.shape}")
+        return self.entries.get((0, 0), zero)
+
+
+@dataclass(frozen=True)
+class Tape:
+    """An SX function as a list of instructions, each naming earlier ones.
+
+    ``outputs[k]`` maps (row, column) to the position of the instruction that computes this entry.
+    """
+
+    instructions: tuple[Instruction, ...]
+    input_sizes: tuple[int, ...]
+    outputs: tuple[Matrix[int], ...]
+
+    @staticmethod
+    def of(inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> Tape:
+        """The tape of ``outputs`` as functions of the symbols ``inputs``; equal subexpressions are computed once.
+
+        Raises ModelError if an output depends on a symbol that is not among the inputs.
+        """
+        inputs = [ca.densify(ca.vec(symbol)) for symbol in inputs]
+        shared = [ca.sparsify(output) for output in _share(outputs)]
+        names = [f"i{k}" for k in range(len(inputs))]
+        results = [f"o{k}" for k in range(len(shared))]
+        function = ca.Function("tape", inputs, shared, names, results, {"allow_free": True})
+        if function.has_free():
+            free = ", ".join(f"`{name}`" for name in function.get_free())
+            raise ModelError(f"the symbols {free} have no meaning here: declare them as states, inputs or parameters")
+        return Tape.of_function(function)
+
+    @staticmethod
+    def of_function(function: ca.Function) -> Tape:
+        """The tape of an SX function. Raises UnsupportedOperation for an instruction that is not scalar SX."""
+        if not function.is_a("SXFunction"):
+            raise UnsupportedOperation(f"`{function.name()}` is not an SX function: build it from SX expressions")
+        positions = [
+            list(zip(*function.sparsity_out(k).get_triplet(), strict=True)) for k in range(function.n_out())
+        ]
+        entries: list[dict[tuple[int, int], int]] = [{} for _ in positions]
+        register: dict[int, int] = {}
+        instructions: list[Instruction] = []
+        for k in range(function.n_instructions()):
+            code = function.instruction_id(k)
+            operands = function.instruction_input(k)
+            if code == ca.OP_OUTPUT:
+                output, nonzero = function.instruction_output(k)
+                entries[output][positions[output][nonzero]] = register[operands[0]]
+                continue
+            if code == ca.OP_CONST:
+                instruction: Instruction = Constant(exact_decimal(function.instruction_constant(k)))
+            elif code == ca.OP_INPUT:
+                instruction = Input(operands[0], operands[1])
+            elif code in OPERATIONS:
+                name, arity = OPERATIONS[code]
+                instruction = Operation(name, tuple(register[o] for o in operands[:arity]))
+            else:
+                raise UnsupportedOperation(f"the SX operation {_NAME_OF_CODE.get(code, code)} is not supported")
+            register[function.instruction_output(k)[0]] = len(instructions)
+            instructions.append(instruction)
+        return Tape(
+            tuple(instructions),
+            tuple(function.nnz_in(k) for k in range(function.n_in())),
+            tuple(
+                Matrix((function.size1_out(k), function.size2_out(k)), entries[k]) for k in range(function.n_out())
+            ),
+        )
+
+    def walk(self, algebra: Algebra[T], inputs: Sequence[Sequence[T]]) -> list[Matrix[T]]:
+        """The outputs, computed in ``algebra`` from the values ``inputs``.
+
+        Raises UnsupportedOperation if the algebra has no method for an operation that occurs.
+        """
+        if tuple(len(argument) for argument in inputs) != self.input_sizes:
+            raise ValueError(f"inputs of sizes {self.input_sizes} were expected")
+        values: list[T] = []
+        for instruction in self.instructions:
+            match instruction:
+                case Constant(value):
+                    values.append(algebra.const(value))
+                case Input(argument, index):
+                    values.append(inputs[argument][index])
+                case Operation(name, operands):
+                    method: Any = getattr(algebra, name, None)
+                    if method is None:
+                        raise UnsupportedOperation(
+                            f"the operation `{name.rstrip('_')}` has no meaning in {type(algebra).__name__}"
+                        )
+                    values.append(method(*(values[o] for o in operands)))
+        return [Matrix(m.shape, {at: values[v] for at, v in m.entries.items()}) for m in self.outputs]
+
+    def uses(self, name: str) -> bool:
+        """Whether the operation ``name`` occurs."""
+        return any(isinstance(i, Operation) and i.name == name for i in self.instructions)
+
+
+def exact_decimal(value: float) -> Fraction:
+    """The shortest decimal that denotes ``value`` as a fraction. Raises ModelError for NaN and infinity."""
+    if not math.isfinite(value):
+        raise ModelError(f"the model contains the constant {value}: every constant must be a finite number")
+    return Fraction(repr(float(value)))
+
+
+def _share(outputs: Sequence[ca.SX]) -> list[ca.SX]:
+    """The expressions with equal subexpressions made one; CasADi's rewriting keeps the values unchanged."""
+    shapes = [ca.SX(output).sparsity() for output in outputs]
+    flat = ca.veccat(*[ca.SX(output).nonzeros() and ca.vertcat(*ca.SX(output).nonzeros()) for output in outputs])
+    if flat.numel() == 0:
+        return [ca.SX(output) for output in outputs]
+    nonzeros = ca.vertsplit(ca.cse(ca.densify(flat)))
+    result = []
+    start = 0
+    for sparsity in shapes:
+        count = sparsity.nnz()
+        block = ca.vertcat(*nonzeros[start : start + count]) if count else ca.SX(0, 1)
+        result.append(ca.SX(sparsity, block))
+        start += count
+    return result
