@@ -1,0 +1,432 @@
+"""Exact rational functions over Q whose indeterminates are symbols and transcendental atoms.
+
+``sin``, ``cos`` and ``exp`` of sums are expanded by the addition theorems into atoms of single monomials, so that
+identities such as cos(a+b) = cos a cos b - sin a sin b or exp(2a) = exp(a)^2 hold by construction, and
+sin^2 = 1 - cos^2 is a rewriting rule. Every other function gives an atom of its own, identified by its exact
+argument. A result that is the zero function here is zero; a result that is not may still be zero, because atoms are
+treated as independent: this decides identities in one direction only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from math import gcd
+
+import casadi as ca
+from flint import fmpq, fmpq_mpoly, fmpq_mpoly_ctx
+
+from pbcgen.errors import UnsupportedOperation
+from pbcgen.symbolic.real import fraction, rational
+from pbcgen.symbolic.tape import Matrix, Tape
+
+#: Multiples of an angle or exponent beyond this are kept as separate atoms instead of being expanded.
+_LARGEST_MULTIPLE = 24
+
+
+class _Restart(Exception):
+    """The field was set up too small; walk again with the corrected settings."""
+
+
+@dataclass(frozen=True)
+class Atom:
+    """An indeterminate that stands for ``kind(argument)``."""
+
+    kind: str
+    argument: Quotient
+
+
+@dataclass(frozen=True, eq=False)
+class Quotient:
+    """A rational function ``numerator / denominator`` of a :class:`Field`, in lowest terms."""
+
+    field: Field
+    numerator: fmpq_mpoly
+    denominator: fmpq_mpoly
+
+    def __add__(self, other: Quotient) -> Quotient:
+        if self.denominator == other.denominator:
+            return self.field.quotient(self.numerator + other.numerator, self.denominator)
+        return self.field.quotient(
+            self.numerator * other.denominator + other.numerator * self.denominator,
+            self.denominator * other.denominator,
+        )
+
+    def __sub__(self, other: Quotient) -> Quotient:
+        return self + (-other)
+
+    def __neg__(self) -> Quotient:
+        return Quotient(self.field, -self.numerator, self.denominator)
+
+    def __mul__(self, other: Quotient) -> Quotient:
+        return self.field.quotient(self.numerator * other.numerator, self.denominator * other.denominator)
+
+    def __truediv__(self, other: Quotient) -> Quotient:
+        if other.is_zero():
+            raise ZeroDivisionError("division by the zero function")
+        return self.field.quotient(self.numerator * other.denominator, self.denominator * other.numerator)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Quotient) and (self - other).is_zero()
+
+    def __hash__(self) -> int:
+        return hash((str(self.numerator), str(self.denominator)))
+
+    def is_zero(self) -> bool:
+        """Whether this is the zero function (a certain yes; a no is not certain when atoms are related)."""
+        return bool(self.numerator.is_zero())
+
+    def constant(self) -> fmpq | None:
+        """The value when the function is a rational number, else None."""
+        if self.numerator.is_constant() and self.denominator.is_constant():
+            return self.numerator.leading_coefficient() / self.denominator.leading_coefficient() \
+                if not self.numerator.is_zero() else fmpq(0)
+        return None
+
+    def is_polynomial(self) -> bool:
+        """Whether the denominator is a number."""
+        return bool(self.denominator.is_constant())
+
+    def generators(self) -> set[int]:
+        """The positions of the indeterminates that occur directly."""
+        degrees = [self.numerator.degrees(), self.denominator.degrees()]
+        return {k for row in degrees for k, degree in enumerate(row) if degree}
+
+    def symbols(self) -> set[int]:
+        """The positions of the symbols that occur, directly or inside an atom."""
+        found = set()
+        for k in self.generators():
+            if k < self.field.symbol_count:
+                found.add(k)
+            else:
+                found |= self.field.atoms[k].argument.symbols()
+        return found
+
+
+class Field:
+    """The field Q(symbols, atoms) and the SX operations over it (an Algebra of the tape).
+
+    Args:
+        names: the symbols.
+        pool: how many atoms may appear.
+        scales: for each (kind, monomial) the rational unit of which all its multiples are integers.
+    """
+
+    def __init__(
+        self, names: Sequence[str], pool: int = 0, scales: dict[tuple[str, str], Fraction] | None = None
+    ) -> None:
+        self.names = tuple(names)
+        self.symbol_count = len(self.names)
+        self.pool = pool
+        self.scales = {} if scales is None else scales
+        generators = [f"v{k}" for k in range(self.symbol_count)] + [f"a{k}" for k in range(pool)]
+        self.context = fmpq_mpoly_ctx.get(generators or ["v"], "degrevlex")
+        self._generators = self.context.gens()
+        self._one = self.context.constant(1)
+        self.atoms: dict[int, Atom] = {}
+        self._atom_of: dict[tuple[str, str], int] = {}
+        self._squares: dict[int, fmpq_mpoly] = {}
+        self.divisors: dict[str, Quotient] = {}
+
+    # --- elements -----------------------------------------------------------------------------------------
+
+    def const(self, value: Fraction | int) -> Quotient:
+        """A rational number."""
+        return Quotient(self, self.context.constant(rational(value)), self._one)
+
+    def symbol(self, k: int) -> Quotient:
+        """Symbol number k."""
+        return Quotient(self, self._generators[k], self._one)
+
+    def polynomial(self, numerator: fmpq_mpoly) -> Quotient:
+        """A polynomial of this field's context as an element."""
+        return self.quotient(numerator, self._one)
+
+    def quotient(self, numerator: fmpq_mpoly, denominator: fmpq_mpoly) -> Quotient:
+        """The fraction in lowest terms, with the relations between atoms applied."""
+        numerator = self._reduce(numerator)
+        denominator = self._reduce(denominator)
+        if denominator.is_zero():
+            raise ZeroDivisionError("division by the zero function")
+        if numerator.is_zero():
+            return Quotient(self, numerator, self._one)
+        if denominator.is_constant():
+            return Quotient(self, numerator / denominator.leading_coefficient(), self._one)
+        common = numerator.gcd(denominator)
+        if not common.is_constant():
+            numerator, denominator = numerator / common, denominator / common
+        scale = denominator.leading_coefficient()
+        return Quotient(self, numerator / scale, denominator / scale)
+
+    def _reduce(self, polynomial: fmpq_mpoly) -> fmpq_mpoly:
+        for generator, square in self._squares.items():
+            while polynomial.degrees()[generator] > 1:
+                polynomial = self._lower_degree(polynomial, generator, square)
+        return polynomial
+
+    def _lower_degree(self, polynomial: fmpq_mpoly, generator: int, square: fmpq_mpoly) -> fmpq_mpoly:
+        by_power: dict[int, dict[tuple[int, ...], fmpq]] = {}
+        for exponents, coefficient in polynomial.to_dict().items():
+            power = int(exponents[generator])
+            rest = tuple(power % 2 if k == generator else e for k, e in enumerate(exponents))
+            by_power.setdefault(power // 2, {})[rest] = coefficient
+        total = self.context.constant(0)
+        for half, terms in by_power.items():
+            total += self.context.from_dict(terms) * square**half
+        return total
+
+    # --- atoms --------------------------------------------------------------------------------------------
+
+    def _atom(self, kind: str, argument: Quotient) -> fmpq_mpoly:
+        key = (kind, f"{argument.numerator}|{argument.denominator}")
+        if key not in self._atom_of:
+            position = self.symbol_count + len(self._atom_of)
+            if len(self._atom_of) >= self.pool:
+                self.pool = 2 * self.pool + 4
+                raise _Restart
+            self._atom_of[key] = position
+            self.atoms[position] = Atom(kind, argument)
+        return self._generators[self._atom_of[key]]
+
+    def _generic(self, kind: str, argument: Quotient, at_zero: int | None) -> Quotient:
+        if argument.is_zero() and at_zero is not None:
+            return self.const(at_zero)
+        return self.polynomial(self._atom(kind, argument))
+
+    def _multiples(self, kind: str, argument: Quotient) -> list[tuple[Quotient, int]]:
+        """The argument as a sum of integer multiples of units, one unit for each monomial of the numerator."""
+        parts = []
+        for exponents, coefficient in sorted(argument.numerator.to_dict().items()):
+            monomial = self.context.from_dict({exponents: fmpq(1)})
+            key = (kind, f"{monomial}|{argument.denominator}")
+            value = fraction(coefficient)
+            unit = self.scales.setdefault(key, abs(value))
+            if (value / unit).denominator != 1:
+                self.scales[key] = Fraction(
+                    gcd(unit.numerator * value.denominator, value.numerator * unit.denominator),
+                    unit.denominator * value.denominator,
+                )
+                raise _Restart
+            multiple = int(value / unit)
+            if abs(multiple) > _LARGEST_MULTIPLE:
+                unit, multiple = abs(value), 1 if value > 0 else -1
+            parts.append((self.quotient(monomial * rational(unit), argument.denominator), multiple))
+        return parts
+
+    def _cos_sin(self, argument: Quotient) -> tuple[Quotient, Quotient]:
+        cosine, sine = self.const(1), self.const(0)
+        for unit, multiple in self._multiples("angle", argument):
+            c_atom, s_atom = self._atom("cos", unit), self._atom("sin", unit)
+            s_position = self._atom_of[("sin", f"{unit.numerator}|{unit.denominator}")]
+            self._squares[s_position] = self._one - c_atom * c_atom
+            c, s = self.polynomial(c_atom), self.polynomial(s_atom)
+            if multiple < 0:
+                s = -s
+            for _ in range(abs(multiple)):
+                cosine, sine = cosine * c - sine * s, sine * c + cosine * s
+        return cosine, sine
+
+    # --- the SX operations --------------------------------------------------------------------------------
+
+    def assign(self, a: Quotient) -> Quotient:
+        return a
+
+    def assign_first(self, a: Quotient, _: Quotient) -> Quotient:
+        return a
+
+    def add(self, a: Quotient, b: Quotient) -> Quotient:
+        return a + b
+
+    def sub(self, a: Quotient, b: Quotient) -> Quotient:
+        return a - b
+
+    def mul(self, a: Quotient, b: Quotient) -> Quotient:
+        return a * b
+
+    def div(self, a: Quotient, b: Quotient) -> Quotient:
+        if b.constant() is None:
+            self.divisors.setdefault(f"{b.numerator}", self.polynomial(b.numerator))
+        return a / b
+
+    def neg(self, a: Quotient) -> Quotient:
+        return -a
+
+    def twice(self, a: Quotient) -> Quotient:
+        return a + a
+
+    def sq(self, a: Quotient) -> Quotient:
+        return a * a
+
+    def inv(self, a: Quotient) -> Quotient:
+        return self.div(self.const(1), a)
+
+    def pow(self, a: Quotient, b: Quotient) -> Quotient:
+        exponent = b.constant()
+        if exponent is None:
+            return self.exp(b * self.log(a))
+        if exponent.q == 2:
+            return self.pow(self.sqrt(a), self.const(int(exponent.p)))
+        if exponent.q != 1:
+            return self.exp(b * self.log(a))
+        result = self.const(1)
+        for _ in range(abs(int(exponent.p))):
+            result = result * a
+        return self.inv(result) if exponent.p < 0 else result
+
+    def sqrt(self, a: Quotient) -> Quotient:
+        if a.is_zero():
+            return a
+        root = self._generic("sqrt", a, 0)
+        if a.is_polynomial():
+            self._squares[root.generators().pop()] = a.numerator
+        return root
+
+    def hypot(self, a: Quotient, b: Quotient) -> Quotient:
+        return self.sqrt(a * a + b * b)
+
+    def exp(self, a: Quotient) -> Quotient:
+        result = self.const(1)
+        for unit, multiple in self._multiples("exponent", a):
+            factor = self._exp_of_unit(unit)
+            for _ in range(abs(multiple)):
+                result = result * factor if multiple > 0 else result / factor
+        return result
+
+    def _exp_of_unit(self, unit: Quotient) -> Quotient:
+        for position in unit.generators():
+            atom = self.atoms.get(position)
+            if atom and atom.kind == "log" and (unit - self.symbol(position)).is_zero():
+                return atom.argument
+        return self.polynomial(self._atom("exp", unit))
+
+    def expm1(self, a: Quotient) -> Quotient:
+        return self.exp(a) - self.const(1)
+
+    def log(self, a: Quotient) -> Quotient:
+        return self.const(0) if (a - self.const(1)).is_zero() else self._generic("log", a, None)
+
+    def log1p(self, a: Quotient) -> Quotient:
+        return self.log(self.const(1) + a)
+
+    def sin(self, a: Quotient) -> Quotient:
+        return self._cos_sin(a)[1]
+
+    def cos(self, a: Quotient) -> Quotient:
+        return self._cos_sin(a)[0]
+
+    def tan(self, a: Quotient) -> Quotient:
+        cosine, sine = self._cos_sin(a)
+        return self.div(sine, cosine)
+
+    def sinh(self, a: Quotient) -> Quotient:
+        e = self.exp(a)
+        return (e - self.const(1) / e) * self.const(Fraction(1, 2))
+
+    def cosh(self, a: Quotient) -> Quotient:
+        e = self.exp(a)
+        return (e + self.const(1) / e) * self.const(Fraction(1, 2))
+
+    def _odd(self, kind: str, a: Quotient) -> Quotient:
+        if a.is_zero():
+            return a
+        if a.numerator.leading_coefficient() < 0:
+            return -self._generic(kind, -a, 0)
+        return self._generic(kind, a, 0)
+
+    def tanh(self, a: Quotient) -> Quotient:
+        return self._odd("tanh", a)
+
+    def atan(self, a: Quotient) -> Quotient:
+        return self._odd("atan", a)
+
+    def asin(self, a: Quotient) -> Quotient:
+        return self._odd("asin", a)
+
+    def acos(self, a: Quotient) -> Quotient:
+        return self._generic("acos", a, None)
+
+    def asinh(self, a: Quotient) -> Quotient:
+        return self._odd("asinh", a)
+
+    def acosh(self, a: Quotient) -> Quotient:
+        return self._generic("acosh", a, None)
+
+    def atanh(self, a: Quotient) -> Quotient:
+        return self._odd("atanh", a)
+
+    def erf(self, a: Quotient) -> Quotient:
+        return self._odd("erf", a)
+
+    # --- back to CasADi -----------------------------------------------------------------------------------
+
+    def to_sx(self, element: Quotient, symbols: Sequence[ca.SX]) -> ca.SX:
+        """The element as an SX expression of ``symbols``, which stand for the field's symbols in order."""
+        cache: dict[int, ca.SX] = dict(enumerate(symbols))
+
+        def generator(k: int) -> ca.SX:
+            if k not in cache:
+                atom = self.atoms[k]
+                cache[k] = getattr(ca, atom.kind)(expression(atom.argument))
+            return cache[k]
+
+        def polynomial(p: fmpq_mpoly) -> ca.SX:
+            total = ca.SX(0)
+            for exponents, coefficient in p.to_dict().items():
+                term = ca.SX(float(int(coefficient.p)))
+                for k, exponent in enumerate(exponents):
+                    if exponent:
+                        term = term * generator(k) ** int(exponent)
+                total = total + (term / float(int(coefficient.q)) if coefficient.q != 1 else term)
+            return total
+
+        def expression(q: Quotient) -> ca.SX:
+            top = polynomial(q.numerator)
+            return top if q.is_polynomial() and q.denominator == self._one else top / polynomial(q.denominator)
+
+        return expression(element)
+
+
+def evaluate(
+    tape: Tape, names: Sequence[str], values: Mapping[str, Fraction] | None = None
+) -> tuple[Field, list[Matrix[Quotient]]]:
+    """Walk a tape over exact rational functions.
+
+    Args:
+        tape: the outputs wanted; its inputs, taken together, are the symbols ``names``.
+        names: one name for each input of the tape, in order.
+        values: symbols to replace by exact numbers.
+
+    Returns:
+        The field and the outputs as matrices of its elements.
+
+    Raises:
+        UnsupportedOperation: for operations that are not analytic (fabs, if_else, fmin, ...).
+        ZeroDivisionError: for a division by the zero function.
+    """
+    values = values or {}
+    pool, scales = 8, {}  # type: int, dict[tuple[str, str], Fraction]
+    for _ in range(200):
+        field = Field(names, pool, scales)
+        symbols = [field.const(values[n]) if n in values else field.symbol(k) for k, n in enumerate(names)]
+        try:
+            return field, tape.walk(field, _split(symbols, tape.input_sizes))
+        except _Restart:
+            pool, scales = field.pool, field.scales
+    raise UnsupportedOperation("the model's transcendental terms have too many incommensurable arguments")
+
+
+def _split(values: Sequence[Quotient], sizes: Sequence[int]) -> list[list[Quotient]]:
+    """Cut a flat list into pieces of the given sizes."""
+    pieces, start = [], 0
+    for size in sizes:
+        pieces.append(list(values[start : start + size]))
+        start += size
+    return pieces
+
+
+#: Functions whose atoms the display and the provers know by name.
+KNOWN_KINDS: Mapping[str, Callable[..., object]] = {
+    kind: getattr(ca, kind)
+    for kind in ("sin", "cos", "exp", "log", "sqrt", "tanh", "atan", "asin", "acos", "asinh", "acosh", "atanh", "erf")
+}
