@@ -1,0 +1,273 @@
+"""A design: one controller task."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from types import MappingProxyType
+from typing import Any, Literal, Protocol, get_args
+
+import casadi as ca
+
+from pbcgen.errors import ModelError
+from pbcgen.models.affine import AffineSystem
+from pbcgen.models.exact import Number, exact, positive
+from pbcgen.models.expressions import check_finite, check_symbols, depends, entries, shaped, suggestion
+from pbcgen.models.laws import Integral, Law, PotentialCompensation
+from pbcgen.models.limits import InputSet, Limits
+
+Precision = Literal["float", "double"]
+
+
+class Model(Protocol):
+    """What a front end is: something that lowers to an input-affine system."""
+
+    def lower(self) -> AffineSystem:
+        """The system."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """One requirement on x*: ``expression(x*) = value``."""
+
+    name: str
+    expression: ca.SX
+    value: Fraction
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Where the system shall rest.
+
+    Attributes:
+        conditions: what the user asked for, one condition for each state or expression.
+        full: x* when the conditions give every state (for a mechanical system: every position), else None.
+    """
+
+    conditions: tuple[Condition, ...]
+    full: tuple[Fraction, ...] | None = None
+
+
+#: What a user may write for a target: all n values (None leaves one open), values by state or measured name, or a
+#: new name with a pair (expression, value).
+TargetLike = Target | Sequence[Number | None] | Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Design:
+    """A system, a target, a law with gains, limits, and how the controller runs.
+
+    Attributes:
+        model: the model as the user wrote it.
+        system: the model as an input-affine system.
+        target: where it shall rest.
+        law: the control law with its gains, as given; ``law.resolve(m, s)`` has full shapes.
+        limits: actuator limits, or None.
+        sample_period: h in seconds, exact.
+        precision: the arithmetic of the generated code.
+        name: how files and reports call the design; None until the loader fills it in.
+        near: approximate values by state name that choose among several completions of the target.
+        initial: x(0) of simulations, n values.
+        duration: length of simulations in seconds.
+        description: a sentence for reports.
+    """
+
+    model: Model
+    system: AffineSystem
+    target: Target
+    law: Law
+    limits: Limits | None
+    sample_period: Fraction
+    precision: Precision
+    name: str | None
+    near: Mapping[str, Fraction]
+    initial: tuple[Fraction, ...]
+    duration: Fraction
+    description: str
+
+    def __init__(
+        self,
+        system: Model,
+        target: TargetLike,
+        law: Law,
+        *,
+        limits: Limits | None = None,
+        sample_period: Number,
+        precision: Precision = "float",
+        name: str | None = None,
+        near: Mapping[str, Number] | None = None,
+        initial: Mapping[str, Number] | Sequence[Number] | None = None,
+        duration: Number = 10,
+        description: str = "",
+    ) -> None:
+        """Check and store the design.
+
+        Args:
+            system: AffineSystem, Mechanical or Circuit.
+            target: x* as n values, values by name of state or measured signal, or ``{name: (expression, value)}``.
+            law: one of the laws.
+            limits: actuator limits.
+            sample_period: h in seconds, positive.
+            precision: "float" or "double".
+            name: how files and reports call the design.
+            near: approximate values by state name.
+            initial: x(0), by state name (others are 0) or n values.
+            duration: length of simulations in seconds, positive.
+            description: a sentence for reports.
+
+        Raises:
+            ModelError: naming the entry that is wrong and what was expected.
+        """
+        if not callable(getattr(system, "lower", None)):
+            raise ModelError(f"the system is a {type(system).__name__}: AffineSystem, Mechanical or Circuit expected")
+        if precision not in get_args(Precision):
+            raise ModelError(f"the precision is {precision!r}: 'float' or 'double' was expected")
+        lowered = system.lower()
+        _check_law(law, lowered)
+        _check_limits(limits, lowered)
+        values = {
+            "model": system,
+            "system": lowered,
+            "target": _target(target, lowered),
+            "law": law,
+            "limits": limits,
+            "sample_period": positive(sample_period, "the sample period"),
+            "precision": precision,
+            "name": name,
+            "near": MappingProxyType(_by_state(near or {}, lowered, "near")),
+            "initial": _initial(initial, lowered),
+            "duration": positive(duration, "the duration"),
+            "description": description,
+        }
+        for key, value in values.items():
+            object.__setattr__(self, key, value)
+
+    @property
+    def input_set(self) -> InputSet:
+        """The limits in the order of u; unbounded where none were given."""
+        return (self.limits or Limits()).resolve(self.system.input_names)
+
+    def with_(self, **changes: Any) -> Design:
+        """A copy with some arguments of the constructor changed."""
+        arguments = {
+            "system": self.model,
+            "target": self.target,
+            "law": self.law,
+            "limits": self.limits,
+            "sample_period": self.sample_period,
+            "precision": self.precision,
+            "name": self.name,
+            "near": self.near,
+            "initial": self.initial,
+            "duration": self.duration,
+            "description": self.description,
+        }
+        for name in changes:
+            if name not in arguments:
+                raise ModelError(f"a design has no `{name}`: {suggestion(name, arguments)}")
+        return Design(**{**arguments, **changes})
+
+
+def _check_law(law: object, system: AffineSystem) -> None:
+    if not isinstance(law, Law):
+        raise ModelError(f"the law is {law!r}: one of pbcgen's laws was expected, such as DynamicExtension(...)")
+    if isinstance(law, PotentialCompensation | Integral) and system.mechanical is None:
+        raise ModelError(f"the law `{law.name}` is for mechanical systems: build the model with Mechanical")
+    law.resolve(system.m)
+
+
+def _check_limits(limits: object, system: AffineSystem) -> None:
+    if limits is None:
+        return
+    if not isinstance(limits, Limits):
+        raise ModelError(f"limits is a {type(limits).__name__}: Limits(...) was expected")
+    limits.resolve(system.input_names)
+
+
+def _target(target: TargetLike, system: AffineSystem) -> Target:
+    if isinstance(target, Target):
+        conditions = [_condition(c.name, (c.expression, c.value), system) for c in target.conditions]
+        return Target(tuple(conditions), _full(conditions, system))
+    if isinstance(target, Mapping):
+        items = dict(target)
+    elif isinstance(target, Sequence) and not isinstance(target, str):
+        items = {name: value for name, value in _in_order(target, system, "the target").items() if value is not None}
+    else:
+        raise ModelError(f"the target is {target!r}: values in the order of the states, or a mapping, was expected")
+    if not items:
+        raise ModelError("the target is empty: give at least one value that x* shall have")
+    conditions = [_condition(name, value, system) for name, value in items.items()]
+    return Target(tuple(conditions), _full(conditions, system))
+
+
+def _condition(name: object, value: Any, system: AffineSystem) -> Condition:
+    states = dict(zip(system.state_names, entries(system.x), strict=True))
+    signals = {**states, **system.measured}
+    what = f"the target `{name}`"
+    if isinstance(value, tuple | list):
+        if len(value) != 2:
+            raise ModelError(f"{what} is {value!r}: a pair (expression, value) was expected")
+        expression, number = shaped(value[0], (1, 1), what), value[1]
+        if name in states and not ca.is_equal(expression, states[str(name)]):
+            raise ModelError(f"{what} has the name of a state but another expression: rename it")
+    elif name in signals:
+        expression, number = signals[str(name)], value
+    else:
+        raise ModelError(
+            f"{what} is neither a state nor a measured signal: {suggestion(name, signals)} "
+            "(for another quantity give a pair (expression, value))"
+        )
+    check_symbols(expression, (system.x, system.parameters.symbols), what, system.u, "the input")
+    check_finite(expression, what)
+    if not depends(expression, system.x):
+        raise ModelError(f"{what} does not depend on the state: it cannot be controlled")
+    return Condition(str(name), expression, exact(number, what))
+
+
+def _full(conditions: Sequence[Condition], system: AffineSystem) -> tuple[Fraction, ...] | None:
+    """All of x* if the conditions name every state; at rest the momenta of a mechanical system are zero."""
+    values = {c.name: c.value for c in conditions}
+    if system.mechanical is not None:
+        momenta = {entry.name(): Fraction(0) for entry in entries(system.mechanical.p)}
+        values = {**momenta, **values}
+    if any(name not in values for name in system.state_names):
+        return None
+    return tuple(values[name] for name in system.state_names)
+
+
+def _in_order(values: Sequence[Any], system: AffineSystem, what: str) -> dict[str, Any]:
+    """Values by state name from a sequence of n (for a mechanical system also of the positions only)."""
+    lengths = [system.n] if system.mechanical is None else [system.n, system.n // 2]
+    if len(values) not in lengths:
+        expected = " or ".join(str(length) for length in lengths)
+        raise ModelError(f"{what} has {len(values)} values: {expected} were expected ({', '.join(system.state_names)})")
+    return dict(zip(system.state_names, values, strict=False))
+
+
+def _by_state(values: Mapping[str, Number], system: AffineSystem, what: str) -> dict[str, Fraction]:
+    for name in values:
+        if name not in system.state_names:
+            raise ModelError(f"{what} names `{name}`, which is not a state: {suggestion(name, system.state_names)}")
+    return {name: exact(value, f"{what} `{name}`") for name, value in values.items()}
+
+
+def _initial(initial: Mapping[str, Number] | Sequence[Number] | None, system: AffineSystem) -> tuple[Fraction, ...]:
+    if initial is None:
+        initial = {}
+    elif not isinstance(initial, Mapping):
+        initial = _in_order(initial, system, "the initial state")
+    values = _by_state(initial, system, "the initial state")
+    return tuple(values.get(name, Fraction(0)) for name in system.state_names)
+
+
+def canonical_text(design: Design) -> str:
+    """Everything that decides the controller, as deterministic text."""
+    raise NotImplementedError
+
+
+def model_hash(design: Design) -> str:
+    """SHA-256 of :func:`canonical_text`, in hexadecimal."""
+    return hashlib.sha256(canonical_text(design).encode()).hexdigest()

@@ -1,0 +1,85 @@
+"""Numbers as the user wrote them: exact rationals, never the nearest double."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from decimal import Decimal
+from fractions import Fraction
+from typing import Any
+
+from pbcgen.errors import ModelError
+
+#: What a user may write for a number: ``"2.2e-4"``, ``"11/50000"``, ``100``, ``0.1`` (read as 1/10), ...
+Number = str | int | float | Fraction | Decimal
+
+_LONGEST_NUMBER = 400
+
+
+def exact(value: Number, what: str) -> Fraction:
+    """The number ``value`` as a fraction; a float is read as the shortest decimal that denotes it.
+
+    Args:
+        value: a string, int, float, Fraction, Decimal or NumPy scalar.
+        what: how the message calls the number, for example "the parameter `R1`".
+
+    Raises:
+        ModelError: if the value is missing, not a number, not finite, or outside the range of a double.
+    """
+    if value is None:
+        raise ModelError(f"{what} has no value: give it a number")
+    number = _fraction(value)
+    if number is None:
+        raise ModelError(f"{what} is {value!r}: a finite number was expected, such as 100 or '2.2e-4'")
+    if not _fits_double(number):
+        raise ModelError(f"{what} is {value!r}: this is outside the range of double precision numbers")
+    return number
+
+
+def positive(value: Number, what: str) -> Fraction:
+    """:func:`exact`, and ModelError unless the number is positive."""
+    number = exact(value, what)
+    if number <= 0:
+        raise ModelError(f"{what} is {value}: it must be positive")
+    return number
+
+
+def decimal(value: Fraction) -> str:
+    """The number as a user would write it: a terminating decimal where there is a short one, else ``p/q``."""
+    shortest = Fraction(repr(float(value)))
+    return repr(float(value)) if shortest == value and value.denominator != 1 else str(value)
+
+
+def _fraction(value: Any) -> Fraction | None:
+    match value:
+        case bool():
+            return None
+        case str():
+            return _parsed(value)
+        case Decimal():
+            return _parsed(str(value))
+        case numbers.Rational():
+            return Fraction(int(value.numerator), int(value.denominator))
+        case numbers.Real():
+            return Fraction(repr(float(value))) if math.isfinite(value) else None
+        case _:
+            return None
+
+
+def _parsed(text: str) -> Fraction | None:
+    """The number that a text denotes. An absurd exponent is refused before it fills the memory."""
+    _, e, exponent = text.lower().partition("e")
+    if len(text) > _LONGEST_NUMBER or (e and len(exponent.strip().lstrip("+-0")) > 3):
+        return None
+    try:
+        return Fraction(text.strip())
+    except (ValueError, ZeroDivisionError):
+        return None
+
+
+def _fits_double(value: Fraction) -> bool:
+    try:
+        rounded = float(value)
+    except OverflowError:
+        return False
+    return rounded != 0 or value == 0

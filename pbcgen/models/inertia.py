@@ -1,0 +1,95 @@
+"""Inverses of symmetric positive definite matrices, as small expression graphs."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+_LARGEST_COFACTOR = 3
+
+
+def solve(M: ca.SX, right: ca.SX) -> ca.SX:
+    """``M^-1 right`` for a symmetric positive definite M, without pivoting.
+
+    M is split into the blocks that its zeros leave independent. A block of up to three rows is solved by cofactors
+    (a division by its determinant only), a larger one by an L D L^T factorisation.
+
+    Args:
+        M: n x n, symmetric positive definite; only then are the divisions defined.
+        right: n x k.
+    """
+    result = ca.SX(M.shape[0], right.shape[1])
+    for block in independent_blocks(M):
+        part, rows = M[block, block], right[block, :]
+        result[block, :] = _cofactor_solve(part, rows) if len(block) <= _LARGEST_COFACTOR else _ldl_solve(part, rows)
+    return result
+
+
+def inverse(M: ca.SX) -> ca.SX:
+    """``M^-1`` for a symmetric positive definite M; see :func:`solve`."""
+    return ca.sparsify(solve(M, ca.SX.eye(M.shape[0])))
+
+
+def independent_blocks(M: ca.SX) -> list[list[int]]:
+    """The index sets between which M has only structural zeros, each sorted."""
+    n = M.shape[0]
+    neighbours = {i: {i} for i in range(n)}
+    for row, col in zip(*ca.sparsify(M).sparsity().get_triplet(), strict=True):
+        neighbours[row].add(col)
+        neighbours[col].add(row)
+    blocks: list[list[int]] = []
+    left = set(range(n))
+    while left:
+        block, frontier = set[int](), {min(left)}
+        while frontier:
+            block |= frontier
+            frontier = {j for i in frontier for j in neighbours[i]} - block
+        blocks.append(sorted(block))
+        left -= block
+    return blocks
+
+
+def _cofactor_solve(M: ca.SX, right: ca.SX) -> ca.SX:
+    adjugate = _adjugate(M)
+    determinant = sum((M[0, j] * adjugate[j, 0] for j in range(M.shape[0])), ca.SX(0))
+    return ca.mtimes(adjugate, right) / determinant
+
+
+def _adjugate(M: ca.SX) -> ca.SX:
+    """The transposed cofactors of a symmetric matrix with up to three rows."""
+    n = M.shape[0]
+    adjugate = ca.SX(n, n)
+    for i in range(n):
+        for j in range(i + 1):
+            rows = [k for k in range(n) if k != i]
+            cols = [k for k in range(n) if k != j]
+            adjugate[i, j] = adjugate[j, i] = (-1) ** (i + j) * _small_determinant(M[rows, cols])
+    return adjugate
+
+
+def _small_determinant(M: ca.SX) -> ca.SX:
+    match M.shape[0]:
+        case 0:
+            return ca.SX(1)
+        case 1:
+            return M[0, 0]
+        case _:
+            return M[0, 0] * M[1, 1] - M[0, 1] * M[1, 0]
+
+
+def _ldl_solve(M: ca.SX, right: ca.SX) -> ca.SX:
+    """Forward, diagonal and backward substitution with ``M = L diag(d) L^T``, L of unit diagonal."""
+    n = M.shape[0]
+    L, d = ca.SX.eye(n), ca.SX(n, 1)
+    for j in range(n):
+        d[j] = M[j, j] - sum((L[j, k] ** 2 * d[k] for k in range(j)), ca.SX(0))
+        for i in range(j + 1, n):
+            L[i, j] = (M[i, j] - sum((L[i, k] * L[j, k] * d[k] for k in range(j)), ca.SX(0))) / d[j]
+    y = ca.SX(right)
+    for i in range(n):
+        for k in range(i):
+            y[i, :] = y[i, :] - L[i, k] * y[k, :]
+    for i in reversed(range(n)):
+        y[i, :] = y[i, :] / d[i]
+        for k in range(i + 1, n):
+            y[i, :] = y[i, :] - L[k, i] * y[k, :]
+    return y

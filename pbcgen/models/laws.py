@@ -1,0 +1,294 @@
+"""The control laws with their gains, as data.
+
+Gains are exact. A single number is broadcast to every channel when :meth:`resolve` learns the number of inputs; a
+matrix gain may be given as k (for k I), as the list of its diagonal, or as the list of its rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from fractions import Fraction
+from typing import ClassVar
+
+from pbcgen.errors import ModelError
+from pbcgen.models.exact import exact
+from pbcgen.models.gains import (
+    Matrix,
+    MatrixLike,
+    Vector,
+    VectorLike,
+    diagonal_matrix,
+    rank,
+    rectangle,
+    sized_matrix,
+    sized_vector,
+    symmetric,
+    vector,
+)
+
+
+@dataclass(frozen=True, init=False)
+class PassiveOutput:
+    """Law (u): ``u = -kappa - alpha tanh(beta (gamma - gamma_*)) - k_p tanh(y)``. Needs the full state.
+
+    Attributes:
+        alpha, beta, k_p: positive gains, one for each input.
+    """
+
+    name: ClassVar[str] = "passive-output"
+    alpha: Vector
+    beta: Vector
+    k_p: Vector
+
+    def __init__(self, alpha: VectorLike, beta: VectorLike, k_p: VectorLike) -> None:
+        """Store exact gains. Raises ModelError if one is not a positive number."""
+        _store(self, alpha=vector(alpha, "alpha"), beta=vector(beta, "beta"), k_p=vector(k_p, "k_p"))
+
+    def resolve(self, m: int, s: int | None = None) -> PassiveOutput:
+        """The law with m entries in each gain. Raises ModelError for a wrong length."""
+        return PassiveOutput(
+            sized_vector(self.alpha, m, "alpha"), sized_vector(self.beta, m, "beta"), sized_vector(self.k_p, m, "k_p")
+        )
+
+
+@dataclass(frozen=True, init=False)
+class DynamicExtension:
+    """Law (uc), (dxc): ``u = -kappa - alpha tanh(beta z_c)`` with the filter x_c. Needs gamma measured.
+
+    Attributes:
+        alpha, beta: positive gains, one for each input.
+        K_c, R_c: symmetric m x m gains; that they are positive definite is a claim to be proved.
+    """
+
+    name: ClassVar[str] = "dynamic-extension"
+    alpha: Vector
+    beta: Vector
+    K_c: Matrix
+    R_c: Matrix
+
+    def __init__(self, alpha: VectorLike, beta: VectorLike, K_c: MatrixLike, R_c: MatrixLike) -> None:
+        """Store exact gains. Raises ModelError for nonpositive or nonsymmetric ones."""
+        _store(
+            self,
+            alpha=vector(alpha, "alpha"),
+            beta=vector(beta, "beta"),
+            K_c=symmetric(K_c, "K_c"),
+            R_c=symmetric(R_c, "R_c"),
+        )
+
+    def resolve(self, m: int, s: int | None = None) -> DynamicExtension:
+        """The law with full shapes. Raises ModelError for a wrong size."""
+        return DynamicExtension(
+            sized_vector(self.alpha, m, "alpha"),
+            sized_vector(self.beta, m, "beta"),
+            sized_matrix(self.K_c, m, "K_c"),
+            sized_matrix(self.R_c, m, "R_c"),
+        )
+
+
+@dataclass(frozen=True, init=False)
+class NaturalDamping:
+    """Law (ulc), (dxc), (dxl): (uc) and ``-alpha_l tanh(beta_l z_l)``. Needs gamma and eta measured.
+
+    Attributes:
+        alpha_c, beta_c, alpha_l, beta_l: positive gains, one for each input.
+        K_c, R_c: symmetric m x m gains.
+        K_l, R_l: diagonal positive m x m gains.
+        Upsilon: m x s of rank min(m, s), or None for the identity pattern of this shape.
+    """
+
+    name: ClassVar[str] = "natural-damping"
+    alpha_c: Vector
+    beta_c: Vector
+    K_c: Matrix
+    R_c: Matrix
+    alpha_l: Vector
+    beta_l: Vector
+    K_l: Matrix
+    R_l: Matrix
+    Upsilon: Matrix | None
+
+    def __init__(
+        self,
+        alpha_c: VectorLike,
+        beta_c: VectorLike,
+        K_c: MatrixLike,
+        R_c: MatrixLike,
+        *,
+        alpha_l: VectorLike,
+        beta_l: VectorLike,
+        K_l: MatrixLike,
+        R_l: MatrixLike,
+        Upsilon: MatrixLike | None = None,
+    ) -> None:
+        """Store exact gains.
+
+        Raises:
+            ModelError: for nonpositive gains, K_c or R_c not symmetric, K_l or R_l not diagonal. Prop. pro4 does not
+                allow alpha_l = 0: without the term in x_l the law is DynamicExtension.
+        """
+        _store(
+            self,
+            alpha_c=vector(alpha_c, "alpha_c"),
+            beta_c=vector(beta_c, "beta_c"),
+            K_c=symmetric(K_c, "K_c"),
+            R_c=symmetric(R_c, "R_c"),
+            alpha_l=_alpha_l(alpha_l),
+            beta_l=vector(beta_l, "beta_l"),
+            K_l=diagonal_matrix(K_l, "K_l"),
+            R_l=diagonal_matrix(R_l, "R_l"),
+            Upsilon=None if Upsilon is None else _upsilon(Upsilon),
+        )
+
+    def resolve(self, m: int, s: int | None = None) -> NaturalDamping:
+        """The law with full shapes; Upsilon is left as it is while s, the length of eta, is not known.
+
+        Raises:
+            ModelError: for a wrong size, or if Upsilon has not rank min(m, s).
+        """
+        return NaturalDamping(
+            sized_vector(self.alpha_c, m, "alpha_c"),
+            sized_vector(self.beta_c, m, "beta_c"),
+            sized_matrix(self.K_c, m, "K_c"),
+            sized_matrix(self.R_c, m, "R_c"),
+            alpha_l=sized_vector(self.alpha_l, m, "alpha_l"),
+            beta_l=sized_vector(self.beta_l, m, "beta_l"),
+            K_l=sized_matrix(self.K_l, m, "K_l"),
+            R_l=sized_matrix(self.R_l, m, "R_l"),
+            Upsilon=self.Upsilon if s is None else _sized_upsilon(self.Upsilon, m, s),
+        )
+
+
+@dataclass(frozen=True, init=False)
+class PotentialCompensation:
+    """Law (umec): ``u = grad V(q) - alpha tanh(beta z_c)``, for fully actuated mechanical systems with G = I.
+
+    Attributes:
+        alpha, beta: positive gains, one for each input.
+        K_c, R_c: symmetric m x m gains.
+    """
+
+    name: ClassVar[str] = "potential-compensation"
+    alpha: Vector
+    beta: Vector
+    K_c: Matrix
+    R_c: Matrix
+
+    def __init__(self, alpha: VectorLike, beta: VectorLike, K_c: MatrixLike, R_c: MatrixLike) -> None:
+        """Store exact gains. Raises ModelError for nonpositive or nonsymmetric ones."""
+        _store(
+            self,
+            alpha=vector(alpha, "alpha"),
+            beta=vector(beta, "beta"),
+            K_c=symmetric(K_c, "K_c"),
+            R_c=symmetric(R_c, "R_c"),
+        )
+
+    def resolve(self, m: int, s: int | None = None) -> PotentialCompensation:
+        """The law with full shapes. Raises ModelError for a wrong size."""
+        return PotentialCompensation(
+            sized_vector(self.alpha, m, "alpha"),
+            sized_vector(self.beta, m, "beta"),
+            sized_matrix(self.K_c, m, "K_c"),
+            sized_matrix(self.R_c, m, "R_c"),
+        )
+
+
+@dataclass(frozen=True, init=False)
+class Integral:
+    """Law (conint), (dpsi): the law ``base`` and a filter psi of the position error, ``-alpha_psi tanh(beta_psi psi)``.
+
+    Attributes:
+        base: the law that the filter is added to.
+        alpha_psi, beta_psi: positive gains, one for each input.
+        R_psi: diagonal m x m leak of the filter; 0 is a pure integrator.
+    """
+
+    name: ClassVar[str] = "integral"
+    base: DynamicExtension | NaturalDamping | PotentialCompensation
+    alpha_psi: Vector
+    beta_psi: Vector
+    R_psi: Matrix
+
+    def __init__(
+        self,
+        base: DynamicExtension | NaturalDamping | PotentialCompensation,
+        alpha_psi: VectorLike,
+        beta_psi: VectorLike,
+        R_psi: MatrixLike,
+    ) -> None:
+        """Store exact gains. Raises ModelError for nonpositive gains, and for a base that no filter can be added to."""
+        if not isinstance(base, DynamicExtension | NaturalDamping | PotentialCompensation):
+            raise ModelError(
+                f"the base of Integral is {_called(base)}: it must be DynamicExtension, NaturalDamping or "
+                "PotentialCompensation"
+            )
+        _store(
+            self,
+            base=base,
+            alpha_psi=vector(alpha_psi, "alpha_psi"),
+            beta_psi=vector(beta_psi, "beta_psi"),
+            R_psi=diagonal_matrix(R_psi, "R_psi", allow_zero=True),
+        )
+
+    def resolve(self, m: int, s: int | None = None) -> Integral:
+        """The law with full shapes, its base too. Raises ModelError for a wrong size."""
+        return Integral(
+            self.base.resolve(m, s),
+            sized_vector(self.alpha_psi, m, "alpha_psi"),
+            sized_vector(self.beta_psi, m, "beta_psi"),
+            sized_matrix(self.R_psi, m, "R_psi"),
+        )
+
+
+Law = PassiveOutput | DynamicExtension | NaturalDamping | PotentialCompensation | Integral
+
+
+def gains(law: Law) -> dict[str, Vector | Matrix]:
+    """The gains by name, in the order of the law's arguments; those of the base of Integral come first."""
+    found: dict[str, Vector | Matrix] = {}
+    for item in fields(law):
+        value = getattr(law, item.name)
+        if item.name == "base":
+            found |= gains(value)
+        elif value is not None:
+            found[item.name] = value
+    return found
+
+
+def _store(law: object, **values: object) -> None:
+    for name, value in values.items():
+        object.__setattr__(law, name, value)
+
+
+def _called(value: object) -> str:
+    return getattr(value, "name", None) or repr(value)
+
+
+def _alpha_l(value: VectorLike) -> Vector:
+    entries = [value] if isinstance(value, str | int | float | Fraction) else value
+    if isinstance(entries, list | tuple) and any(exact(entry, "the gain alpha_l") == 0 for entry in entries):
+        raise ModelError(
+            "the gain alpha_l is 0: natural-damping needs it positive; without this term use DynamicExtension, "
+            "which has no x_l"
+        )
+    return vector(value, "alpha_l")
+
+
+def _upsilon(value: MatrixLike) -> Matrix:
+    if isinstance(value, str | int | float | Fraction):
+        return ((exact(value, "the gain Upsilon"),),)
+    return rectangle(list(value), "Upsilon")  # type: ignore[arg-type]
+
+
+def _sized_upsilon(value: Matrix | None, m: int, s: int) -> Matrix:
+    """Upsilon of (Phil), m x s; by default ones on the diagonal."""
+    if value is None:
+        return tuple(tuple(Fraction(i == j) for j in range(s)) for i in range(m))
+    if (len(value), len(value[0])) != (m, s):
+        raise ModelError(
+            f"the gain Upsilon is {len(value)}x{len(value[0])}: {m}x{s} was expected (inputs x length of eta)"
+        )
+    if rank(value) < min(m, s):
+        raise ModelError(f"the gain Upsilon has rank {rank(value)}: rank {min(m, s)} is needed")
+    return value

@@ -1,0 +1,268 @@
+"""Mechanical systems in port-Hamiltonian form (phmec)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from pbcgen.errors import ModelError
+from pbcgen.models.affine import AffineSystem, IntervalLike, MeasuredLike, Mechanics, Structure
+from pbcgen.models.expressions import (
+    check_finite,
+    check_symbols,
+    depends,
+    expression,
+    names,
+    shaped,
+    square,
+    symbols,
+    vanishes_at_samples,
+)
+from pbcgen.models.inertia import inverse, solve
+from pbcgen.models.parameters import Parameters
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Mechanical:
+    """A mechanical system ``q' = grad_p H, p' = -grad_q H - D grad_p H + G u`` with ``H = p^T M^-1 p / 2 + V``.
+
+    Attributes:
+        q, p: positions and momenta, n x 1 symbols.
+        u: input, m x 1 symbols.
+        parts: M, M^-1, V, D, G, the velocity and the gradient of H.
+        system: the input-affine system with state (q, p) and storage H.
+    """
+
+    q: ca.SX
+    p: ca.SX
+    u: ca.SX
+    parts: Mechanics
+    system: AffineSystem
+
+    def __init__(
+        self,
+        q: Any,
+        p: Any,
+        *,
+        V: Any,
+        G: Any,
+        M: Any = None,
+        M_inv: Any = None,
+        D: Any = None,
+        parameters: Parameters | None = None,
+        inputs: Sequence[str] | None = None,
+        domain: Mapping[str, IntervalLike] | None = None,
+        gamma: Any = None,
+        eta: Any = None,
+        measured: MeasuredLike | None = None,
+        units: Mapping[str, str] | None = None,
+        name: str = "",
+    ) -> None:
+        """Check and store the system.
+
+        Args:
+            q: positions, n SX symbols.
+            p: momenta, n SX symbols.
+            V: potential energy, scalar function of q.
+            G: input matrix, n x m function of q, of full column rank.
+            M: inertia matrix, n x n function of q; a list of n entries is its diagonal.
+            M_inv: its inverse. One of the two is enough.
+            D: damping, n x n diagonal function of (q, p), or the list of its diagonal; none if not given.
+            parameters: the constants that occur.
+            inputs: names of the inputs; ``u_1, u_2, ...`` if not given.
+            domain: (lo, hi) by state name.
+            gamma: known gamma(x), m entries.
+            eta: known eta(x).
+            measured: state names and/or named expressions; the positions if not given.
+            units: units by name.
+            name: how reports call the system.
+
+        Raises:
+            ModelError: for wrong shapes or symbols, M not symmetric or singular, D not diagonal.
+        """
+        q, p = symbols(q, "the positions q"), symbols(p, "the momenta p")
+        parameters = parameters if parameters is not None else Parameters()
+        if q.numel() != p.numel():
+            raise ModelError(f"there are {q.numel()} positions q and {p.numel()} momenta p: give one momentum for each")
+        parts = _mechanics(q, p, M=M, M_inv=M_inv, V=V, D=D, G=G, parameters=parameters)
+        u = input_symbols(inputs, parts.G.shape[1])
+        system = _affine(
+            parts,
+            u,
+            parameters=parameters,
+            domain=domain,
+            gamma=gamma,
+            eta=eta,
+            measured=measured if measured is not None else names(q),
+            units=units,
+            name=name,
+        )
+        for key, value in {"q": q, "p": p, "u": u, "parts": parts, "system": system}.items():
+            object.__setattr__(self, key, value)
+
+    @classmethod
+    def from_lagrangian(
+        cls,
+        q: Any,
+        qdot: Any,
+        *,
+        T: Any,
+        V: Any,
+        G: Any,
+        D: Any = None,
+        momenta: Sequence[str] | None = None,
+        parameters: Parameters | None = None,
+        **keywords: Any,
+    ) -> Mechanical:
+        """The system with Lagrangian ``L = T(q, q') - V(q)`` and generalised forces ``G u - D q'``.
+
+        Args:
+            q: positions, n SX symbols.
+            qdot: velocities, n SX symbols.
+            T: kinetic energy, a quadratic form in the velocities: ``T = q'^T M(q) q' / 2``.
+            V: potential energy, scalar function of q.
+            G: input matrix, n x m function of q.
+            D: damping, n x n diagonal function of (q, q'), or the list of its diagonal.
+            momenta: names of the momenta; ``p_`` and the name of the position if not given.
+            parameters: the constants that occur.
+            **keywords: as for the constructor.
+
+        Raises:
+            ModelError: also if T is not a quadratic form in the velocities.
+        """
+        q, qdot = symbols(q, "the positions q"), symbols(qdot, "the velocities qdot")
+        if q.numel() != qdot.numel():
+            raise ModelError(f"there are {q.numel()} positions q and {qdot.numel()} velocities qdot: give equally many")
+        M = _inertia_of(shaped(T, (1, 1), "the kinetic energy T"), qdot)
+        chosen = tuple(momenta) if momenta is not None else tuple(f"p_{name}" for name in names(q))
+        if len(chosen) != q.numel():
+            raise ModelError(f"there are {len(chosen)} names of momenta: one for each of {q.numel()} positions, please")
+        p = ca.vertcat(*[ca.SX.sym(name) for name in chosen])
+        damping = None
+        if D is not None:
+            damping = ca.substitute(square(D, q.numel(), "the damping D"), qdot, solve(M, p))
+        return cls(q, p, V=V, G=G, M=M, D=damping, parameters=parameters, **keywords)
+
+    def lower(self) -> AffineSystem:
+        """The system as ``x' = f + g u`` with x = (q, p), S = H, and ``f = F grad H``."""
+        return self.system
+
+
+def input_symbols(inputs: Sequence[str] | None, m: int) -> ca.SX:
+    """A column of m input symbols with the given names, or ``u_1, u_2, ...``.
+
+    Raises:
+        ModelError: if the number of names is not m.
+    """
+    chosen = [f"u_{i + 1}" for i in range(m)] if inputs is None else [inputs] if isinstance(inputs, str) else [*inputs]
+    if len(chosen) != m:
+        raise ModelError(f"`inputs` has {len(chosen)} names, the input matrix has {m} columns")
+    return ca.vertcat(*[ca.SX.sym(name) for name in chosen])
+
+
+def _mechanics(q: ca.SX, p: ca.SX, *, M: Any, M_inv: Any, V: Any, D: Any, G: Any, parameters: Parameters) -> Mechanics:
+    """The parts, checked.
+
+    Where M is given, no inverse is differentiated: with v = M^-1 p the gradient of the kinetic energy is
+    ``-v^T (dM/dq) v / 2``.
+    """
+    n = q.numel()
+    potential = shaped(V, (1, 1), "the potential energy V")
+    damping = ca.sparsify(square(D, n, "the damping D")) if D is not None else ca.SX(n, n)
+    actuation = expression(G, "the input matrix G")
+    actuation = shaped(actuation, (n, actuation.shape[1]), "the input matrix G")
+    inertia, inverse_inertia = _inertia_pair(M, M_inv, n)
+    constants = parameters.symbols
+    for value, what, allowed, forbidden in (
+        (inertia, "the inertia matrix M", (q, constants), p),
+        (inverse_inertia, "the inverse inertia matrix M_inv", (q, constants), p),
+        (potential, "the potential energy V", (q, constants), p),
+        (actuation, "the input matrix G", (q, constants), p),
+        (damping, "the damping D", (q, p, constants), ca.SX(0, 1)),
+    ):
+        check_symbols(value, allowed, what, forbidden, "the momentum")
+        check_finite(value, what)
+    _check_diagonal(damping)
+    _check_inertia(inertia, inverse_inertia, q, parameters)
+    if M is not None:
+        velocity = solve(inertia, p)
+        kinetic = -_form_gradient(inertia, velocity, q)
+    else:
+        velocity = ca.mtimes(inverse_inertia, p)
+        kinetic = _form_gradient(inverse_inertia, p, q)
+    gradient = ca.gradient(potential, q) + kinetic
+    return Mechanics(
+        q, p, inertia, inverse_inertia, potential, damping, actuation, velocity, ca.vertcat(gradient, velocity)
+    )
+
+
+def _inertia_pair(M: Any, M_inv: Any, n: int) -> tuple[ca.SX, ca.SX]:
+    if M is None and M_inv is None:
+        raise ModelError("the inertia is missing: give M or M_inv")
+    given = None if M is None else ca.sparsify(square(M, n, "the inertia matrix M"))
+    given_inverse = None if M_inv is None else ca.sparsify(square(M_inv, n, "the inverse inertia matrix M_inv"))
+    for value, what in ((given, "the inertia matrix M"), (given_inverse, "the inverse inertia matrix M_inv")):
+        if value is not None and ca.sprank(value) < n:
+            raise ModelError(f"{what} is singular: its nonzero entries leave a row without partner")
+    if given is None:
+        assert given_inverse is not None
+        return inverse(given_inverse), given_inverse
+    return given, given_inverse if given_inverse is not None else inverse(given)
+
+
+def _form_gradient(matrix: ca.SX, vector: ca.SX, q: ca.SX) -> ca.SX:
+    """The gradient in q of ``vector^T matrix(q) vector / 2`` with the vector held constant."""
+    frozen = ca.SX.sym("v", vector.numel())
+    return ca.substitute(ca.gradient(ca.dot(frozen, ca.mtimes(matrix, frozen)) / 2, q), frozen, vector)
+
+
+def _check_diagonal(D: ca.SX) -> None:
+    for row, col in zip(*D.sparsity().get_triplet(), strict=True):
+        if row != col:
+            raise ModelError(f"the damping D must be diagonal: its entry ({row + 1}, {col + 1}) is `{D[row, col]}`")
+
+
+def _check_inertia(M: ca.SX, M_inv: ca.SX, q: ca.SX, parameters: Parameters) -> None:
+    """Symmetry and M M^-1 = I, at sample points: a guard against slips, the proof is made elsewhere."""
+    where = (q, parameters.symbols, parameters.numeric)
+    for value, what in ((M, "the inertia matrix M"), (M_inv, "the inverse inertia matrix M_inv")):
+        if not vanishes_at_samples(value - value.T, ca.norm_fro(value), *where):
+            raise ModelError(f"{what} is not symmetric")
+    scale = ca.norm_fro(M) * ca.norm_fro(M_inv)
+    if not vanishes_at_samples(ca.mtimes(M, M_inv) - ca.SX.eye(M.shape[0]), scale, *where):
+        raise ModelError("M and M_inv are not inverse to each other")
+
+
+def _inertia_of(T: ca.SX, qdot: ca.SX) -> ca.SX:
+    """The Hessian of T in qdot.
+
+    Raises:
+        ModelError: unless T is a quadratic form: Hessian free of qdot, no linear and no constant part.
+    """
+    M, gradient = ca.hessian(T, qdot)
+    if depends(M, qdot):
+        raise ModelError("the kinetic energy T is not quadratic in the velocities: its Hessian depends on them")
+    rest = ca.SX.zeros(qdot.numel())
+    if not ca.substitute(gradient, qdot, rest).is_zero():
+        raise ModelError("the kinetic energy T has a part that is linear in the velocities: this is not supported")
+    if not ca.substitute(T, qdot, rest).is_zero():
+        raise ModelError("the kinetic energy T does not vanish at rest: move the part without velocities to V")
+    return ca.sparsify(ca.tril2symm(ca.tril(M)))
+
+
+def _affine(parts: Mechanics, u: ca.SX, **keywords: Any) -> AffineSystem:
+    n, m = parts.q.numel(), u.numel()
+    identity = ca.SX.eye(n)
+    F = ca.blockcat([[ca.SX(n, n), identity], [-identity, -parts.D]])
+    return AffineSystem(
+        ca.vertcat(parts.q, parts.p),
+        u,
+        ca.mtimes(F, parts.energy_gradient),
+        ca.vertcat(ca.SX(n, m), parts.G),
+        ca.dot(parts.p, parts.velocity) / 2 + parts.V,
+        structure=Structure(F=F, mechanical=parts),
+        **keywords,
+    )
