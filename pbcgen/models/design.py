@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -261,13 +260,3 @@ def _initial(initial: Mapping[str, Number] | Sequence[Number] | None, system: Af
         initial = _in_order(initial, system, "the initial state")
     values = _by_state(initial, system, "the initial state")
     return tuple(values.get(name, Fraction(0)) for name in system.state_names)
-
-
-def canonical_text(design: Design) -> str:
-    """Everything that decides the controller, as deterministic text."""
-    raise NotImplementedError
-
-
-def model_hash(design: Design) -> str:
-    """SHA-256 of :func:`canonical_text`, in hexadecimal."""
-    return hashlib.sha256(canonical_text(design).encode()).hexdigest()
