@@ -1,0 +1,390 @@
+"""Three tests of a generated controller: against the Python step, against the continuous law, against its limits."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbcgen.control.step import ReferenceStep, StepStatus
+from pbcgen.run.agreement import Allowance
+from pbcgen.run.simulate import (
+    PythonStepper,
+    Tolerance,
+    Trajectory,
+    simulate_continuous,
+    simulate_sampled,
+)
+
+if TYPE_CHECKING:
+    from pbcgen.control.closed_loop import ClosedLoop
+    from pbcgen.control.law import ControlLaw
+    from pbcgen.run.wrapper import Controller
+
+Array = NDArray[Any]
+
+#: The error must fall with at least this order when h is halved. First order is what the method has; a bias that
+#: does not vanish with h pulls the observed order below 1.
+LEAST_ORDER = 0.75
+
+#: Multiple of the integrator's relative tolerance below which an error says nothing of the sampling.
+_FLOOR = 1000.0
+
+#: Decimal exponents of the widest random inputs: beyond, the products of an ordinary law overflow.
+_WIDEST = {"float": 18.0, "double": 100.0}
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The C against the Python step, from equal measurements and states.
+
+    An error in ulp is ``abs(C - Python) / (eps * max(abs(Python), scale))``, where eps is the machine epsilon of the
+    precision (2^-23 or 2^-52) and the scale is half the width of its interval for an entry of u, and the largest
+    absolute value on the trajectory for an entry of xi. What is allowed follows from the law, entry by entry and
+    sample by sample: see :mod:`pbcgen.run.agreement`.
+
+    Attributes:
+        samples: number of random and special inputs.
+        trajectory_samples: number of inputs taken from the closed loop.
+        u_ulp, xi_ulp: the largest errors, over the samples whose solution converged.
+        trajectory_u_ulp, trajectory_xi_ulp: the same over the closed-loop trajectory alone.
+        share: the largest quotient of an error and what is allowed for it; at most 1 to pass.
+        status_mismatches: samples for which the statuses differ.
+        not_converged: samples that both report as not converged, whose values are not compared.
+        worst: the sample with the largest share.
+        passed: share <= 1 and no status mismatch.
+    """
+
+    samples: int
+    trajectory_samples: int
+    u_ulp: float
+    xi_ulp: float
+    trajectory_u_ulp: float
+    trajectory_xi_ulp: float
+    share: float
+    status_mismatches: int
+    not_converged: int
+    worst: Mapping[str, Any]
+    passed: bool
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """The sampled loop against the continuous one for h, h/2 and h/4, in double precision.
+
+    The error of a state is the mean over the common sample times of ``abs(sampled - continuous)``, divided by the
+    largest absolute value of that state on the continuous trajectory; the mean counts a switch of u that comes
+    one sample late as what it is, an error of order h. The error of a run is that of its worst state.
+
+    Attributes:
+        horizon: simulated time in seconds.
+        periods: the sample periods in seconds.
+        errors: one for each period.
+        maximum_errors: the same with the maximum over time in place of the mean.
+        state_errors: for each period one error for each state.
+        orders: log2 of the quotients of consecutive errors.
+        floor: an error below is not told from the integrator's.
+        passed: the last order is at least LEAST_ORDER, or the last error is below the floor.
+        note: what decided, in words.
+    """
+
+    horizon: float
+    periods: tuple[float, ...]
+    errors: tuple[float, ...]
+    maximum_errors: tuple[float, ...]
+    state_errors: tuple[tuple[float, ...], ...]
+    orders: tuple[float, ...]
+    floor: float
+    passed: bool
+    note: str
+
+
+@dataclass(frozen=True)
+class OutputRange:
+    """One output against its exact interval, over every run and every random input.
+
+    Attributes:
+        name: the output.
+        interval: the exact bounds.
+        smallest, largest: of all values (NaN if one of them is NaN).
+        samples: how many values.
+        passed: every value lies in the interval, compared as rational numbers.
+    """
+
+    name: str
+    interval: tuple[Fraction, Fraction]
+    smallest: float
+    largest: float
+    samples: int
+    passed: bool
+
+
+@dataclass(frozen=True)
+class Validation:
+    """The three tests of one controller."""
+
+    design: str
+    precision: str
+    sample_period: Fraction
+    seed: int
+    agreement: Agreement
+    convergence: Convergence
+    outputs: tuple[OutputRange, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether all three tests passed."""
+        return self.agreement.passed and self.convergence.passed and all(o.passed for o in self.outputs)
+
+    def as_json(self) -> dict[str, Any]:
+        """All figures, ready for ``json.dumps``; numbers that are not finite become null."""
+        return {
+            "design": self.design,
+            "precision": self.precision,
+            "sample_period": float(self.sample_period),
+            "seed": self.seed,
+            "passed": self.passed,
+            "agreement": _plain(asdict(self.agreement)),
+            "convergence": _plain(asdict(self.convergence)),
+            "outputs": [_plain(asdict(output)) for output in self.outputs],
+        }
+
+
+def validate(
+    law: ControlLaw,
+    controller: Controller,
+    loop: ClosedLoop,
+    relaw: Callable[[Fraction], ControlLaw],
+    *,
+    seed: int = 0,
+    samples: int = 20_000,
+    steps: int = 2_000,
+    progress: Callable[[str], None] | None = None,
+) -> Validation:
+    """Run the three tests.
+
+    Args:
+        law: the law that the C was generated from.
+        controller: the compiled C.
+        loop: plant and continuous law.
+        relaw: h -> the same law discretised with the sample period h, in double precision.
+        seed: of the random inputs.
+        samples: number of random and special inputs, at least.
+        steps: the simulations last this many sample periods of the law, or ``loop.duration`` if that is shorter.
+        progress: called with the name of each stage.
+
+    Returns:
+        The figures and verdicts of the tests.
+
+    Raises:
+        SimulationError: a simulation cannot be carried out.
+        ToolchainError: the C returned a status that its interface does not list.
+    """
+    tell = progress or (lambda stage: None)
+    h = law.sample_period
+    count = max(min(steps, math.floor(Fraction(loop.duration) / h)), 1)
+    tell("sampled closed loop")
+    run = simulate_sampled(loop, controller, h, float(count * h))
+    tell("C against Python")
+    agreement, u_random = compare(law, controller, loop, run, seed=seed, samples=samples)
+    tell("sampled against continuous")
+    convergence, runs = observe_order(loop, relaw, h, count)
+    tell("limits")
+    outputs = check_limits(law, [u_random, run.u, *(sampled.u for sampled in runs)])
+    return Validation(law.name, law.precision, h, seed, agreement, convergence, outputs)
+
+
+def compare(
+    law: ControlLaw, controller: Controller, loop: ClosedLoop, run: Trajectory, *, seed: int = 0, samples: int = 20_000
+) -> tuple[Agreement, Array]:
+    """Test (1): the C against the Python step; also returns every u of the C (N, m)."""
+    step = ReferenceStep(law)
+    m_run = np.array(loop.measure.map(len(run.times))(run.x.T)).reshape(len(law.inputs), -1).T.astype(step.dtype)
+    xi_run = np.vstack([np.zeros((1, len(law.states))), run.xi[:-1]]).astype(step.dtype)
+    m_random, xi_random = _inputs(law, loop, m_run, xi_run, generator=np.random.default_rng(seed), samples=samples)
+    m, xi = np.vstack([m_run, m_random]), np.vstack([xi_run, xi_random])
+
+    xi_c, u_c, status_c = controller.step_many(m, xi)
+    xi_python, u_python, status_python = step(m, xi)
+    compared = status_python != StepStatus.NOT_CONVERGED
+    xi_allowed, u_allowed = Allowance(law)(m, xi)
+    halves = np.array([float(hi - lo) / 2 for lo, hi in law.intervals])
+    epsilon = float(np.finfo(step.dtype).eps)
+    u_unit = epsilon * np.maximum(np.abs(u_python.astype(float)), halves)
+    xi_unit = epsilon * np.maximum(np.abs(xi_python.astype(float)), np.abs(run.xi).max(axis=0))
+    u_error, xi_error = _difference(u_c, u_python), _difference(xi_c, xi_python)
+    u_ulp, xi_ulp = _quotient(u_error, u_unit), _quotient(xi_error, xi_unit)
+    shares = np.hstack([
+        _quotient(u_error, _allowed(u_allowed, u_unit)),
+        _quotient(xi_error, _allowed(xi_allowed, xi_unit)),
+    ])  # fmt: skip
+    shares[~compared] = 0.0
+    worst = int(np.argmax(shares.max(axis=1)))
+    mismatches = int(np.sum(status_c != status_python))
+    on_run = np.arange(len(m)) < len(m_run)
+    share = _largest(shares)
+    agreement = Agreement(
+        samples=len(m_random),
+        trajectory_samples=len(m_run),
+        u_ulp=_largest(u_ulp[compared]),
+        xi_ulp=_largest(xi_ulp[compared]),
+        trajectory_u_ulp=_largest(u_ulp[compared & on_run]),
+        trajectory_xi_ulp=_largest(xi_ulp[compared & on_run]),
+        share=share,
+        status_mismatches=mismatches,
+        not_converged=int(np.sum(~compared)),
+        worst={
+            "measurement": m[worst].tolist(),
+            "state": xi[worst].tolist(),
+            "u_c": u_c[worst].tolist(),
+            "u_python": u_python[worst].tolist(),
+            "xi_c": xi_c[worst].tolist(),
+            "xi_python": xi_python[worst].tolist(),
+        },
+        passed=bool(share <= 1.0 and mismatches == 0),
+    )
+    return agreement, u_c
+
+
+def observe_order(
+    loop: ClosedLoop, relaw: Callable[[Fraction], ControlLaw], h: Fraction, count: int
+) -> tuple[Convergence, tuple[Trajectory, ...]]:
+    """Test (2): the error of the sampled loop over ``count`` periods h, for h, h/2, h/4; also returns the runs."""
+    tolerance = Tolerance()
+    continuous = simulate_continuous(loop, [float(k * h) for k in range(1, count + 1)], tolerance)
+    largest = np.abs(continuous.x).max(axis=0)
+    scale = np.where(largest > 0, largest, 1.0)
+    runs, means, maxima = [], [], []
+    for divisor in (1, 2, 4):
+        period = h / divisor
+        run = simulate_sampled(loop, PythonStepper(relaw(period)), period, float(count * h), tolerance)
+        error = np.abs(run.x[divisor::divisor] - continuous.x) / scale
+        runs.append(run)
+        means.append(error.mean(axis=0))
+        maxima.append(float(error.max()))
+    errors = [float(mean.max()) for mean in means]
+    floor = _FLOOR * tolerance.relative
+    orders = tuple(_order(coarse, fine) for coarse, fine in itertools.pairwise(errors))
+    passed, note = _judge(errors, orders, floor)
+    convergence = Convergence(
+        horizon=float(count * h),
+        periods=tuple(float(h / divisor) for divisor in (1, 2, 4)),
+        errors=tuple(errors),
+        maximum_errors=tuple(maxima),
+        state_errors=tuple(tuple(mean.tolist()) for mean in means),
+        orders=orders,
+        floor=floor,
+        passed=passed,
+        note=note,
+    )
+    return convergence, tuple(runs)
+
+
+def check_limits(law: ControlLaw, outputs: Sequence[Array]) -> tuple[OutputRange, ...]:
+    """Test (3): each u (N, m) of ``outputs`` in its interval, as rational numbers."""
+    result = []
+    for k, (signal, interval) in enumerate(zip(law.outputs, law.intervals, strict=True)):
+        smallest = min(float(np.min(u[:, k])) for u in outputs)
+        largest = max(float(np.max(u[:, k])) for u in outputs)
+        finite = all(bool(np.all(np.isfinite(u[:, k]))) for u in outputs)
+        passed = finite and interval[0] <= Fraction(smallest) and Fraction(largest) <= interval[1]
+        if not finite:
+            smallest = largest = math.nan
+        result.append(OutputRange(signal.name, interval, smallest, largest, sum(map(len, outputs)), passed))
+    return tuple(result)
+
+
+def _order(coarse: float, fine: float) -> float:
+    return math.log2(coarse / fine) if coarse > 0 and fine > 0 else math.nan
+
+
+def _judge(errors: Sequence[float], orders: Sequence[float], floor: float) -> tuple[bool, str]:
+    if not all(math.isfinite(error) for error in errors):
+        return False, "the sampled loop left the finite numbers"
+    if errors[-1] <= floor:
+        return True, f"the error {errors[-1]:.2g} is at the accuracy of the integration: no order to be seen"
+    if orders[-1] >= LEAST_ORDER:
+        return True, f"the error falls with order {orders[-1]:.2f}"
+    return False, f"the error falls with order {orders[-1]:.2f} only: it does not vanish with the sample period"
+
+
+def _inputs(
+    law: ControlLaw, loop: ClosedLoop, m_run: Array, xi_run: Array, *, generator: np.random.Generator, samples: int
+) -> tuple[Array, Array]:
+    """Random measurements and states: near the equilibrium, of any magnitude, of any bits, and special values."""
+    dtype = m_run.dtype
+    centre = np.array(loop.measure(loop.x_star), dtype=float).ravel()
+    span = np.concatenate([np.abs(m_run - centre).max(axis=0), np.abs(xi_run).max(axis=0)])
+    span[span == 0] = 1.0
+    middle = np.concatenate([centre, np.zeros(len(law.states))])
+    size = (max(samples // 4, 1), len(middle))
+    around = middle + span * generator.uniform(-2.0, 2.0, size)
+    nearer = middle + span * _logarithmic(generator, size, -8.0, 0.5)
+    widest = _WIDEST[law.precision]
+    wide = _logarithmic(generator, size, -widest, widest)
+    bits = generator.bytes(size[0] * len(law.inputs) * dtype.itemsize)
+    patterns = nearer.astype(dtype)
+    patterns[:, : len(law.inputs)] = np.frombuffer(bits, dtype).reshape(size[0], -1)
+    special = _special(middle, dtype)
+    points = np.vstack([around.astype(dtype), nearer.astype(dtype), wide.astype(dtype), patterns, special])
+    return points[:, : len(law.inputs)], points[:, len(law.inputs) :]
+
+
+def _logarithmic(generator: np.random.Generator, size: tuple[int, int], low: float, high: float) -> Array:
+    """Numbers of either sign whose decimal logarithm is uniform."""
+    return generator.choice([-1.0, 1.0], size) * 10.0 ** generator.uniform(low, high, size)
+
+
+def _special(middle: Array, dtype: np.dtype[Any]) -> Array:
+    """Points with a special value in one entry, or in all of them."""
+    limits = np.finfo(dtype)
+    positive = [0.0, limits.smallest_subnormal, limits.tiny, limits.eps, 1.0, limits.max, np.inf, np.nan]
+    values = np.array([sign * value for value in positive for sign in (1, -1)], dtype)
+    single = np.tile(middle.astype(dtype), (len(middle), len(values), 1))
+    for k in range(len(middle)):
+        single[k, :, k] = values
+    everywhere = np.repeat(values[:, None], len(middle), axis=1)
+    return np.vstack([single.reshape(-1, len(middle)), everywhere])
+
+
+def _difference(a: Array, b: Array) -> Array:
+    """abs(a - b) in double; 0 where both are the same special value, infinite where only one is special."""
+    with np.errstate(all="ignore"):
+        error = np.abs(a.astype(float) - b.astype(float))
+    same = (a == b) | (np.isnan(a) & np.isnan(b))
+    return np.where(same, 0.0, np.where(np.isnan(error), np.inf, error))
+
+
+def _allowed(bound: Array, unit: Array) -> Array:
+    """The bound and one rounding of the result; where there is no bound, a few units in the last place."""
+    return np.where(np.isfinite(bound), bound + unit, 8 * unit)
+
+
+def _quotient(error: Array, unit: Array) -> Array:
+    """The quotient; 0 for no error, infinite for an error against an empty unit."""
+    with np.errstate(all="ignore"):
+        quotient = error / unit
+    return np.where(error == 0, 0.0, np.where(np.isnan(quotient), np.inf, quotient))
+
+
+def _largest(values: Array) -> float:
+    return float(values.max()) if values.size else 0.0
+
+
+def _plain(value: Any) -> Any:
+    """The value with types that JSON knows: fractions as exact text, numbers that are not finite as null."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, Fraction):
+        return str(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
