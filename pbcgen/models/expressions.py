@@ -83,11 +83,13 @@ def symbols(value: Any, what: str) -> ca.SX:
         ModelError: if an entry is not a symbol, or two of them are the same.
     """
     stacked = column(value, what)
+    seen = set()
     for entry in entries(ca.densify(stacked)):
         if not entry.is_symbolic():
             raise ModelError(f"{what} contains `{entry}`: every entry must be a symbol, made by casadi.SX.sym")
-    if not stacked.is_valid_input():
-        raise ModelError(f"{what} contains the same symbol twice")
+        if entry.element_hash() in seen:
+            raise ModelError(f"{what} contains the symbol `{entry.name()}` twice")
+        seen.add(entry.element_hash())
     return stacked
 
 
