@@ -36,9 +36,9 @@ arm = Mechanical(
     parameters=p,
     inputs=["u1", "u2", "u3"],
     units={
-        **{name: "rad" for name in ("q1", "q2", "q3")},
-        **{name: "kg m^2/s" for name in ("p1", "p2", "p3")},
-        **{name: "N m" for name in ("u1", "u2", "u3")},
+        **dict.fromkeys(["q1", "q2", "q3"], "rad"),
+        **dict.fromkeys(["p1", "p2", "p3"], "kg m^2/s"),
+        **dict.fromkeys(["u1", "u2", "u3"], "N m"),
     },
     name="robot arm PERA",
 )

@@ -38,7 +38,7 @@ def vector(value: VectorLike, what: str) -> Vector:
     """
     if isinstance(value, Broadcast):
         return value
-    if not _is_sequence(value):
+    if not is_sequence(value):
         return Broadcast((_positive(value, what),))
     return tuple(_positive(entry, _entry(what, i)) for i, entry in enumerate(_nonempty(value, what)))
 
@@ -51,11 +51,11 @@ def matrix(value: MatrixLike, what: str) -> Matrix:
     """
     if isinstance(value, Broadcast):
         return value
-    if not _is_sequence(value):
+    if not is_sequence(value):
         number: Any = value
         return Broadcast(((exact(number, f"the gain {what}"),),))
     rows = _nonempty(value, what)
-    if not any(_is_sequence(row) for row in rows):
+    if not any(is_sequence(row) for row in rows):
         return diagonal([exact(row, f"the gain {_entry(what, i)}") for i, row in enumerate(rows)])
     result = rectangle(rows, what)
     if len(result) != len(result[0]):
@@ -88,7 +88,7 @@ def diagonal_matrix(value: MatrixLike, what: str, *, allow_zero: bool = False) -
 
 def rectangle(rows: Sequence[Any], what: str) -> Matrix:
     """A matrix of any shape from its rows."""
-    if not all(_is_sequence(row) for row in rows):
+    if not all(is_sequence(row) for row in rows):
         raise ModelError(f"the gain {what} mixes numbers and rows: give all its rows")
     result = tuple(
         tuple(exact(entry, f"entry ({i + 1}, {j + 1}) of {what}") for j, entry in enumerate(row))
@@ -139,7 +139,8 @@ def rank(value: Matrix) -> int:
     return found
 
 
-def _is_sequence(value: object) -> bool:
+def is_sequence(value: object) -> bool:
+    """Whether a gain was given as several numbers."""
     return isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from fractions import Fraction
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from pbcgen.errors import ModelError
 from pbcgen.models.exact import exact
@@ -18,6 +18,7 @@ from pbcgen.models.gains import (
     Vector,
     VectorLike,
     diagonal_matrix,
+    is_sequence,
     rank,
     rectangle,
     sized_matrix,
@@ -265,9 +266,9 @@ def _called(value: object) -> str:
     return getattr(value, "name", None) or repr(value)
 
 
-def _alpha_l(value: VectorLike) -> Vector:
-    entries = [value] if isinstance(value, str | int | float | Fraction) else value
-    if isinstance(entries, list | tuple) and any(exact(entry, "the gain alpha_l") == 0 for entry in entries):
+def _alpha_l(value: Any) -> Vector:
+    entries = value if is_sequence(value) else [value]
+    if any(exact(entry, "the gain alpha_l") == 0 for entry in entries):
         raise ModelError(
             "the gain alpha_l is 0: natural-damping needs it positive; without this term use DynamicExtension, "
             "which has no x_l"
@@ -275,10 +276,8 @@ def _alpha_l(value: VectorLike) -> Vector:
     return vector(value, "alpha_l")
 
 
-def _upsilon(value: MatrixLike) -> Matrix:
-    if isinstance(value, str | int | float | Fraction):
-        return ((exact(value, "the gain Upsilon"),),)
-    return rectangle(list(value), "Upsilon")  # type: ignore[arg-type]
+def _upsilon(value: Any) -> Matrix:
+    return rectangle(list(value), "Upsilon") if is_sequence(value) else ((exact(value, "the gain Upsilon"),),)
 
 
 def _sized_upsilon(value: Matrix | None, m: int, s: int) -> Matrix:

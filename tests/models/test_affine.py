@@ -54,7 +54,6 @@ def test_measured_names_and_expressions_mix(parts):
     assert AffineSystem(**parts, measured="v").measured_names == ("v",)
 
 
-
 Y = ca.SX.sym("y")
 
 
