@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import ast
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pbcgen.errors import ModelError
 from pbcgen.models.expressions import suggestion
 from pbcgen.models.loader import BUILT_IN_DIRECTORY, built_in_names
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def names() -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Robot arm PERA with three joints: gravity is compensated, velocities are not measured (law potential-compensation)."""
+"""Robot arm PERA with three joints: gravity compensation, no velocities measured (law potential-compensation)."""
 
 import math
 

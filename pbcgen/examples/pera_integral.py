@@ -14,7 +14,7 @@ p = Parameters(
     I_2="0.0768",
     I_3="0.00211",
     # Viscous friction of the geared joints, N m s/rad: an assumption, the published model has none. Without it the
-    # linearised loop is stable too, but the filter winds up and the arm never settles from the initial posture below.
+    # linearised loop is stable too, but the filter winds up and the arm does not settle from the posture below.
     d_1=5,
     d_2=1,
     d_3="0.2",

@@ -47,6 +47,6 @@ design = Design(
     law=DynamicExtension(alpha="0.0485", beta=1, K_c=10, R_c=10),
     limits=Limits({"u": (0, "3.1")}),
     sample_period="1e-4",
-    duration=1,
+    duration="0.2",
     description="The load is held near 20 mA while the source stays in its range.",
 )

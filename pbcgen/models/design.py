@@ -6,16 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from types import MappingProxyType
-from typing import Any, Literal, Protocol, get_args
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
 import casadi as ca
 
 from pbcgen.errors import ModelError
-from pbcgen.models.affine import AffineSystem
 from pbcgen.models.exact import Number, exact, positive
 from pbcgen.models.expressions import check_finite, check_symbols, depends, entries, shaped, suggestion
 from pbcgen.models.laws import Integral, Law, PotentialCompensation
 from pbcgen.models.limits import InputSet, Limits
+
+if TYPE_CHECKING:
+    from pbcgen.models.affine import AffineSystem
 
 Precision = Literal["float", "double"]
 

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
-import casadi as ca
-
-from pbcgen.models.affine import AffineSystem, Interval
-from pbcgen.models.design import Design
 from pbcgen.models.laws import Integral, Law, gains
 from pbcgen.symbolic.tape import Constant, Input, Instruction, Operation, Tape
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import casadi as ca
+
+    from pbcgen.models.affine import AffineSystem, Interval
+    from pbcgen.models.design import Design
 
 
 def canonical_text(design: Design) -> str:

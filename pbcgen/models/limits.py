@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
+from typing import TYPE_CHECKING
 
 from pbcgen.errors import ModelError
 from pbcgen.models.affine import Interval, IntervalLike, interval
 from pbcgen.models.exact import Number, exact, positive
 from pbcgen.models.expressions import suggestion
 from pbcgen.models.gains import Matrix, Vector, rectangle
+
+if TYPE_CHECKING:
+    from fractions import Fraction
 
 
 @dataclass(frozen=True)

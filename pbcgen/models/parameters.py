@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from fractions import Fraction
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from pbcgen.errors import ModelError
 from pbcgen.models.exact import Number, exact
 from pbcgen.models.expressions import suggestion, unique
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from fractions import Fraction
+
+    from numpy.typing import NDArray
 
 _OWN_NAMES = frozenset({"names", "values", "symbols", "numeric", "with_values"})
 
