@@ -53,6 +53,7 @@ class Trajectory:
             trajectory row k holds the controller state and the output after the step at ``times[k]``; that
             output acts until ``times[k+1]``.
         state_names, controller_states, input_names: one name for each column.
+        state_units, input_units: their units; empty where unknown.
     """
 
     times: Array
@@ -62,6 +63,8 @@ class Trajectory:
     state_names: tuple[str, ...]
     controller_states: tuple[str, ...]
     input_names: tuple[str, ...]
+    state_units: tuple[str, ...]
+    input_units: tuple[str, ...]
 
 
 class Stepper(Protocol):
@@ -77,7 +80,7 @@ class Stepper(Protocol):
 
     @property
     def xi(self) -> NDArray[Any]:
-        """The controller state (nxi,)."""
+        """The controller state (nxi,), perhaps followed by other memory."""
         ...
 
 
@@ -178,7 +181,7 @@ def simulate_sampled(
     xs[0] = loop.initial
     for k in range(count + 1):
         us[k] = controller.advance(np.asarray(loop.measure(xs[k]), dtype=float).ravel())
-        xis[k] = controller.xi
+        xis[k] = controller.xi[: xis.shape[1]]
         if k < count:
             xs[k + 1] = hold.follow(xs[k], us[k], k * float(period))[:, 0]
         if progress is not None and k % 100 == 0:
@@ -246,4 +249,14 @@ def _scales(loop: ClosedLoop, duration: float) -> Array:
 
 
 def _trajectory(loop: ClosedLoop, times: Array, x: Array, xi: Array, u: Array) -> Trajectory:
-    return Trajectory(times, x, xi, u, loop.state_names, loop.controller_states, loop.input_names)
+    return Trajectory(
+        times=times,
+        x=x,
+        xi=xi,
+        u=u,
+        state_names=loop.state_names,
+        controller_states=loop.controller_states,
+        input_names=loop.input_names,
+        state_units=loop.state_units,
+        input_units=loop.input_units,
+    )

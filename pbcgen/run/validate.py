@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbcgen.control.step import ReferenceStep, StepStatus
+from pbcgen.control.law import Fallback
+from pbcgen.control.rounding import DTYPES
+from pbcgen.control.step import ReferenceStep, StepStatus, equilibrium_output
+from pbcgen.errors import ToolchainError
 from pbcgen.run.agreement import Allowance
 from pbcgen.run.simulate import (
     PythonStepper,
@@ -21,11 +24,12 @@ from pbcgen.run.simulate import (
     simulate_continuous,
     simulate_sampled,
 )
+from pbcgen.run.wrapper import Controller
 
 if TYPE_CHECKING:
     from pbcgen.control.closed_loop import ClosedLoop
     from pbcgen.control.law import ControlLaw
-    from pbcgen.run.wrapper import Controller
+    from pbcgen.emit.package import Package
 
 Array = NDArray[Any]
 
@@ -158,7 +162,7 @@ class Validation:
 
 def validate(
     law: ControlLaw,
-    controller: Controller,
+    package: Package,
     loop: ClosedLoop,
     relaw: Callable[[Fraction], ControlLaw],
     *,
@@ -167,11 +171,11 @@ def validate(
     steps: int = 2_000,
     progress: Callable[[str], None] | None = None,
 ) -> Validation:
-    """Run the three tests.
+    """Compile the package and run the three tests.
 
     Args:
-        law: the law that the C was generated from.
-        controller: the compiled C.
+        law: the law that the package was rendered from.
+        package: its C.
         loop: plant and continuous law.
         relaw: h -> the same law discretised with the sample period h, in double precision.
         seed: of the random inputs.
@@ -184,8 +188,28 @@ def validate(
 
     Raises:
         SimulationError: a simulation cannot be carried out.
-        ToolchainError: the C returned a status that its interface does not list.
+        ToolchainError: there is no compiler, the C does not compile, or it does not belong to ``law``.
     """
+    tell = progress or (lambda stage: None)
+    tell("compile")
+    with Controller.of_package(package) as controller:
+        return validate_controller(
+            law, controller, loop, relaw, seed=seed, samples=samples, steps=steps, progress=progress
+        )
+
+
+def validate_controller(
+    law: ControlLaw,
+    controller: Controller,
+    loop: ClosedLoop,
+    relaw: Callable[[Fraction], ControlLaw],
+    *,
+    seed: int = 0,
+    samples: int = 20_000,
+    steps: int = 2_000,
+    progress: Callable[[str], None] | None = None,
+) -> Validation:
+    """Like :func:`validate`, for C that is compiled already."""
     tell = progress or (lambda stage: None)
     h = law.sample_period
     count = max(min(steps, math.floor(Fraction(loop.duration) / h)), 1)
@@ -201,55 +225,58 @@ def validate(
 
 
 def compare(
-    law: ControlLaw, controller: Controller, loop: ClosedLoop, run: Trajectory, *, seed: int = 0, samples: int = 20_000
+    law: ControlLaw,
+    controller: Controller,
+    loop: ClosedLoop,
+    run: Trajectory,
+    *,
+    seed: int = 0,
+    samples: int = 20_000,
 ) -> tuple[Agreement, Array]:
-    """Test (1): the C against the Python step; also returns every u of the C (N, m)."""
-    step = ReferenceStep(law)
-    m_run = np.array(loop.measure.map(len(run.times))(run.x.T)).reshape(len(law.inputs), -1).T.astype(step.dtype)
-    xi_run = np.vstack([np.zeros((1, len(law.states))), run.xi[:-1]]).astype(step.dtype)
-    m_random, xi_random = _inputs(law, loop, m_run, xi_run, generator=np.random.default_rng(seed), samples=samples)
-    m, xi = np.vstack([m_run, m_random]), np.vstack([xi_run, xi_random])
+    """Test (1): the C against the Python step; also returns every u of the C (N, m).
 
-    xi_c, u_c, status_c = controller.step_many(m, xi)
-    xi_python, u_python, status_python = step(m, xi)
-    compared = status_python != StepStatus.NOT_CONVERGED
-    xi_allowed, u_allowed = Allowance(law)(m, xi)
+    Raises ToolchainError if the signals of the C are not those of the law.
+    """
+    step = ReferenceStep(law)
+    held = _held_outputs(law, controller)
+    before, on_run = _questions(law, loop, run, held=held, generator=np.random.default_rng(seed), samples=samples)
+    c = _Answer(*controller.step_many(before.m, np.hstack([before.xi, before.last[:, :held]])))
+    xi, u, status = step(before.m, before.xi, before.last if held else None)
+    python = _Answer(np.hstack([xi, u[:, :held]]), u, status)
+    compared = python.status != StepStatus.NOT_CONVERGED
+    reset = (python.status == StepStatus.STATE_RESET)[:, None]
+    xi_allowed, u_allowed = Allowance(law)(before.m, np.where(reset, 0, before.xi))
+    allowed = np.hstack([u_allowed, xi_allowed, u_allowed[:, :held]])
     halves = np.array([float(hi - lo) / 2 for lo, hi in law.intervals])
-    epsilon = float(np.finfo(step.dtype).eps)
-    u_unit = epsilon * np.maximum(np.abs(u_python.astype(float)), halves)
-    xi_unit = epsilon * np.maximum(np.abs(xi_python.astype(float)), np.abs(run.xi).max(axis=0))
-    u_error, xi_error = _difference(u_c, u_python), _difference(xi_c, xi_python)
-    u_ulp, xi_ulp = _quotient(u_error, u_unit), _quotient(xi_error, xi_unit)
-    shares = np.hstack([
-        _quotient(u_error, _allowed(u_allowed, u_unit)),
-        _quotient(xi_error, _allowed(xi_allowed, xi_unit)),
-    ])  # fmt: skip
-    shares[~compared] = 0.0
-    worst = int(np.argmax(shares.max(axis=1)))
-    mismatches = int(np.sum(status_c != status_python))
-    on_run = np.arange(len(m)) < len(m_run)
-    share = _largest(shares)
+    scale = np.concatenate([halves, np.abs(run.xi).max(axis=0), halves[:held]])
+    unit = float(np.finfo(step.dtype).eps) * np.maximum(np.abs(python.values.astype(float)), scale)
+    error = _difference(c.values, python.values)
+    ulp, share = _quotient(error, unit), _quotient(error, _allowed(allowed, unit))
+    share[~compared] = 0.0
+    mismatches = int(np.sum(c.status != python.status))
+    width = len(law.outputs)
+    worst = int(np.argmax(share.max(axis=1)))
     agreement = Agreement(
-        samples=len(m_random),
-        trajectory_samples=len(m_run),
-        u_ulp=_largest(u_ulp[compared]),
-        xi_ulp=_largest(xi_ulp[compared]),
-        trajectory_u_ulp=_largest(u_ulp[compared & on_run]),
-        trajectory_xi_ulp=_largest(xi_ulp[compared & on_run]),
-        share=share,
+        samples=int(np.sum(~on_run)),
+        trajectory_samples=int(np.sum(on_run)),
+        u_ulp=_largest(ulp[compared, :width]),
+        xi_ulp=_largest(ulp[compared, width:]),
+        trajectory_u_ulp=_largest(ulp[compared & on_run, :width]),
+        trajectory_xi_ulp=_largest(ulp[compared & on_run, width:]),
+        share=_largest(share),
         status_mismatches=mismatches,
         not_converged=int(np.sum(~compared)),
         worst={
-            "measurement": m[worst].tolist(),
-            "state": xi[worst].tolist(),
-            "u_c": u_c[worst].tolist(),
-            "u_python": u_python[worst].tolist(),
-            "xi_c": xi_c[worst].tolist(),
-            "xi_python": xi_python[worst].tolist(),
+            "measurement": before.m[worst].tolist(),
+            "state": before.xi[worst].tolist(),
+            "u_c": c.u[worst].tolist(),
+            "u_python": python.u[worst].tolist(),
+            "xi_c": c.xi[worst].tolist(),
+            "xi_python": python.xi[worst].tolist(),
         },
-        passed=bool(share <= 1.0 and mismatches == 0),
+        passed=bool(_largest(share) <= 1.0 and mismatches == 0),
     )
-    return agreement, u_c
+    return agreement, c.u
 
 
 def observe_order(
@@ -314,26 +341,82 @@ def _judge(errors: Sequence[float], orders: Sequence[float], floor: float) -> tu
     return False, f"the error falls with order {orders[-1]:.2f} only: it does not vanish with the sample period"
 
 
+@dataclass(frozen=True)
+class _Question:
+    """Arguments of N steps: measurements (N, nm), states (N, nxi), last outputs (N, m); in the law's precision."""
+
+    m: Array
+    xi: Array
+    last: Array
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """Results of N steps: the memory (N, nxi) with the held outputs, u (N, m), statuses (N,)."""
+
+    xi: Array
+    u: Array
+    status: Array
+
+    @property
+    def values(self) -> Array:
+        """U and the memory side by side."""
+        return np.hstack([self.u, self.xi])
+
+
+def _held_outputs(law: ControlLaw, controller: Controller) -> int:
+    """How many outputs the C keeps as its fallback. Raises ToolchainError if the C is not that of the law."""
+    interface = controller.interface
+    names = [[member.name for member in members] for members in (interface.inputs, interface.outputs, interface.states)]
+    held = len(law.outputs) if law.fallback is Fallback.LAST_OUTPUT else 0
+    expected = [[signal.name for signal in signals] for signals in (law.inputs, law.outputs, law.states)]
+    fits = names[:2] == expected[:2] and names[2][: len(law.states)] == expected[2]
+    if not fits or len(names[2]) != len(law.states) + held or interface.precision != law.precision:
+        raise ToolchainError(
+            f"the C `{interface.prefix}` does not belong to the law of `{law.name}`: generate it again"
+        )
+    return held
+
+
+def _questions(
+    law: ControlLaw, loop: ClosedLoop, run: Trajectory, *, held: int, generator: np.random.Generator, samples: int
+) -> tuple[_Question, NDArray[np.bool_]]:
+    """What both implementations are asked, and which rows of it come from the closed loop."""
+    dtype = DTYPES[law.precision]
+    nm, start = len(law.inputs), np.array(equilibrium_output(law), dtype)
+    m = np.array(loop.measure.map(len(run.times))(run.x.T)).reshape(nm, -1).T.astype(dtype)
+    xi = np.vstack([np.zeros((1, len(law.states))), run.xi[:-1]]).astype(dtype)
+    random = _inputs(law, loop, np.hstack([m, xi]), generator, samples)
+    bounds = np.array([[float(lo), float(hi)] for lo, hi in law.intervals])
+    last = generator.uniform(bounds[:, 0], bounds[:, 1], (len(random), len(bounds)))
+    last[::10] *= 3.0  # some that no step can have left behind
+    last[::100] = np.nan
+    question = _Question(
+        np.vstack([m, random[:, :nm]]),
+        np.vstack([xi, random[:, nm:]]),
+        np.vstack([start[None, :], run.u[:-1].astype(dtype), last.astype(dtype)]),
+    )
+    return question, np.arange(len(question.m)) < len(m)
+
+
 def _inputs(
-    law: ControlLaw, loop: ClosedLoop, m_run: Array, xi_run: Array, *, generator: np.random.Generator, samples: int
-) -> tuple[Array, Array]:
-    """Random measurements and states: near the equilibrium, of any magnitude, of any bits, and special values."""
-    dtype = m_run.dtype
-    centre = np.array(loop.measure(loop.x_star), dtype=float).ravel()
-    span = np.concatenate([np.abs(m_run - centre).max(axis=0), np.abs(xi_run).max(axis=0)])
+    law: ControlLaw, loop: ClosedLoop, trajectory: Array, generator: np.random.Generator, samples: int
+) -> Array:
+    """Random (m, xi) near the equilibrium, of any magnitude, with any bits in m, and special values."""
+    dtype, nm = trajectory.dtype, len(law.inputs)
+    middle = np.concatenate([np.array(loop.measure(loop.x_star), dtype=float).ravel(), np.zeros(len(law.states))])
+    span = np.abs(trajectory - middle).max(axis=0)
     span[span == 0] = 1.0
-    middle = np.concatenate([centre, np.zeros(len(law.states))])
     size = (max(samples // 4, 1), len(middle))
     around = middle + span * generator.uniform(-2.0, 2.0, size)
     nearer = middle + span * _logarithmic(generator, size, -8.0, 0.5)
-    widest = _WIDEST[law.precision]
-    wide = _logarithmic(generator, size, -widest, widest)
-    bits = generator.bytes(size[0] * len(law.inputs) * dtype.itemsize)
+    wide = _logarithmic(generator, size, -_WIDEST[law.precision], _WIDEST[law.precision])
     patterns = nearer.astype(dtype)
-    patterns[:, : len(law.inputs)] = np.frombuffer(bits, dtype).reshape(size[0], -1)
-    special = _special(middle, dtype)
-    points = np.vstack([around.astype(dtype), nearer.astype(dtype), wide.astype(dtype), patterns, special])
-    return points[:, : len(law.inputs)], points[:, len(law.inputs) :]
+    bits = generator.bytes(size[0] * nm * dtype.itemsize)
+    patterns[:, :nm] = np.frombuffer(bits, dtype).reshape(size[0], nm)
+    return np.vstack(
+        [around.astype(dtype), nearer.astype(dtype), wide.astype(dtype), patterns, _special(middle, dtype)]
+    )
 
 
 def _logarithmic(generator: np.random.Generator, size: tuple[int, int], low: float, high: float) -> Array:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import tempfile
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
 from cffi import FFI
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from numpy.typing import ArrayLike, NDArray
 
+from pbcgen.control.rounding import DTYPES
+from pbcgen.emit.package import MANIFEST
 from pbcgen.errors import ModelError, ToolchainError
 from pbcgen.run.toolchain import STRICT_FLAGS, Compiler, find_compiler
 
@@ -22,11 +25,10 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from pbcgen.control.law import Precision
+    from pbcgen.emit.package import Package
 
 Floats = NDArray[np.floating[Any]]
 Integers = NDArray[np.intc]
-
-_DTYPES: Mapping[str, type[np.floating[Any]]] = {"float": np.float32, "double": np.float64}
 
 _DECLARATIONS = """
 size_t driver_state_size(void);
@@ -67,10 +69,35 @@ class Interface:
     states: tuple[Member, ...]
     statuses: tuple[str, ...]
 
+    @staticmethod
+    def of_manifest(text: str) -> Interface:
+        """The interface that a package's ``manifest.json`` describes. Raises ToolchainError if it does not."""
+        try:
+            document = json.loads(text)
+            inputs, outputs, states = (
+                tuple(Member(str(entry["name"]), str(entry["c_name"])) for entry in document[key])
+                for key in ("inputs", "outputs", "states")
+            )
+            statuses = tuple(str(entry["c_name"]) for entry in document["statuses"])
+            prefix, precision = str(document["prefix"]), document["precision"]
+        except (ValueError, KeyError, TypeError) as error:
+            raise ToolchainError(f"`{MANIFEST}` does not describe a package ({error!r}): generate it again") from error
+        if precision not in DTYPES:
+            raise ToolchainError(f"`{MANIFEST}` names the precision `{precision}`: generate the package again")
+        return Interface(prefix, precision, inputs, outputs, states, statuses)
+
     @property
     def dtype(self) -> np.dtype[np.floating[Any]]:
         """The NumPy type of every signal."""
-        return np.dtype(_DTYPES[self.precision])
+        return np.dtype(DTYPES[self.precision])
+
+
+class BuildOptions(TypedDict, total=False):
+    """How a controller is built: see :class:`Controller`."""
+
+    directory: Path | None
+    compiler: Compiler | None
+    flags: Sequence[str]
 
 
 class Controller:
@@ -118,6 +145,25 @@ class Controller:
         self._statuses = {int(self._library.driver_status(k)): name for k, name in enumerate(interface.statuses)}
         self._status = interface.statuses[0]
         self.reset()
+
+    @classmethod
+    def of_package(cls, package: Package, **options: Unpack[BuildOptions]) -> Controller:
+        """Compile and load a package that was just rendered. Options and errors are those of the constructor."""
+        return cls(package.files, Interface.of_manifest(package.files[MANIFEST]), **options)
+
+    @classmethod
+    def of_directory(cls, path: Path, **options: Unpack[BuildOptions]) -> Controller:
+        """Compile and load a package that was written to ``path``; nothing is written there.
+
+        Raises ToolchainError if a file is missing, and what the constructor raises.
+        """
+        try:
+            interface = Interface.of_manifest((path / MANIFEST).read_text(encoding="utf-8"))
+            names = (f"{interface.prefix}.c", f"{interface.prefix}.h")
+            files = {name: (path / name).read_text(encoding="utf-8") for name in names}
+        except OSError as error:
+            raise ToolchainError(f"`{path}` holds no package: {error.filename}: {error.strerror}") from error
+        return cls(files, interface, **options)
 
     def __enter__(self) -> Controller:
         return self

@@ -3,22 +3,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 import oscillator
 import pytest
 
+from pbcgen.control.law import ControlLaw
 from pbcgen.control.step import ReferenceStep
 from pbcgen.run.agreement import Allowance, _Inexact
 from pbcgen.run.simulate import PythonStepper, simulate_sampled
-from pbcgen.run.validate import Validation, check_limits, compare, observe_order, validate
+from pbcgen.run.validate import Validation, check_limits, compare, observe_order, validate_controller
 from pbcgen.run.wrapper import Controller
 from pbcgen.symbolic.tape import OPERATIONS, Tape
-
-if TYPE_CHECKING:
-    from pbcgen.control.law import ControlLaw
 
 
 @contextmanager
@@ -27,10 +24,16 @@ def compiled(precision: str = "double", **fault: object) -> Iterator[Controller]
         yield controller
 
 
+def rediscretised(h: Fraction) -> ControlLaw:
+    return oscillator.law(h=h)
+
+
 def validated(precision: str = "double", **fault: object) -> Validation:
     relaw: Callable[[Fraction], ControlLaw] = lambda h: oscillator.law(h=h)  # noqa: E731
     with compiled(precision, **fault) as controller:
-        return validate(oscillator.law(precision), controller, oscillator.loop(), relaw, samples=4000, steps=150)
+        return validate_controller(
+            oscillator.law(precision), controller, oscillator.loop(), relaw, samples=4000, steps=150
+        )
 
 
 def compared(precision: str, **fault: object):
