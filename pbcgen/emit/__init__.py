@@ -1,0 +1,16 @@
+"""From a control law to a package of C files.
+
+    identifiers   which names C allows
+    literals      machine numbers as C literals
+    expressions   tape instructions as C expressions
+    program       the typed tree that the templates loop over
+    templating    where the templates are
+    wording       prose of header, README and manifest
+    package       render and write
+
+The algorithm of a step is specified in :mod:`pbcgen.control.step`.
+"""
+
+from pbcgen.emit.package import Package, Provenance, render
+
+__all__ = ["Package", "Provenance", "render"]

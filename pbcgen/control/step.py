@@ -1,0 +1,366 @@
+"""The reference step: the algorithm of the generated C, in NumPy, for a batch of steps at once.
+
+This page is the specification of one step; ``templates/`` holds the same algorithm in C. Both use the constants of
+:mod:`pbcgen.control.rounding` and the same order of operations, so that they differ only by what the two math
+libraries differ (tanh, sin, ...), a few units in the last place.
+
+One step
+--------
+1. A state that is not finite, is beyond STATE_LIMIT, or whose held output left its interval is set to its initial
+   value; the status is then at least STATE_RESET.
+2. A measurement that is not finite: the output is the fallback of the law, the state is kept, INVALID_INPUT.
+3. *prepare*: c and N. Unless all are finite and mu >= 0: fallback output, state kept, OUT_OF_RANGE.
+4. *solve*: t = tanh(s), see below.
+5. *update*: the next state and u. Unless |next state| <= STATE_LIMIT and u is finite: fallback output, state kept,
+   OUT_OF_RANGE.
+6. u is clamped to its interval, rounded inward to the precision; by comparisons, so that no bit pattern escapes.
+
+If several statuses apply, the largest is returned.
+
+Scalar solve: s + mu tanh(s) = c
+--------------------------------
+With r = abs(c) the root is right of s_0 = max(r/(1 + mu), r - mu), where s -> s + mu tanh(s) is concave and increasing:
+Newton's method ``s <- s - ((s - r) + mu t) / (1 + mu (1 - t t))``, t = tanh(s), increases monotonically to it. It makes
+a constant number of steps, tanh is evaluated once more at the end, and the result takes the sign of c. ``(s - r)`` is
+summed first: it is exact or harmless for r up to the largest finite number, where ``s + mu t`` could overflow.
+
+Block solve: s + N tanh(s) = c
+------------------------------
+Damped Newton. I + N diag(1 - t t) is nonsingular for every s. The start is s_0 of the scalar solve for each diagonal
+entry of N. The norm of the residual is the maximum norm: it cannot overflow by squaring, and a Newton step reduces
+every norm. A step is halved until the norm is less than it was, ``backtracks`` times at the most; if it never is, s
+is kept and the iteration ends. The limit is ``tolerance (1 + max|c|)``. The first iterate that meets it tries one
+more full step, which takes the error to rounding level. The linear solve is elimination with partial pivoting (the
+first largest pivot).
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, VectorSolve
+from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+Array = NDArray[Any]
+
+
+class StepStatus(IntEnum):
+    """What a step reports, in order of severity; the values are those of the C enumeration."""
+
+    OK = 0
+    NOT_CONVERGED = 1
+    STATE_RESET = 2
+    OUT_OF_RANGE = 3
+    INVALID_INPUT = 4
+    INVALID_ARGUMENT = 5
+
+
+class ReferenceStep:
+    """One controller step for a batch of measurements and states, in the precision of the law.
+
+    Raises EmitError if a constant of the law does not fit the precision, and ValueError if its solves do not
+    partition its channels.
+    """
+
+    def __init__(self, law: ControlLaw) -> None:
+        check_solves(law)
+        self.law = law
+        self.dtype = DTYPES[law.precision]
+        bounds = [inward(interval, law.precision, "the interval") for interval in law.intervals]
+        self.low: Array = np.array([low for low, _ in bounds], self.dtype)
+        self.high: Array = np.array([high for _, high in bounds], self.dtype)
+        self.equilibrium: Array = np.array(equilibrium_output(law), self.dtype)
+        self._algebra = NumpyAlgebra(law.precision)
+        self._limit = nearest(STATE_LIMIT[law.precision], law.precision)
+
+    def __call__(
+        self, measurement: Array, xi: Array, last_output: Array | None = None
+    ) -> tuple[Array, Array, NDArray[np.int32]]:
+        """The next state, the clamped output and the status.
+
+        Args:
+            measurement: m, shape (batch, nm) or (nm,).
+            xi: the controller state, shape (batch, nxi) or (nxi,).
+            last_output: the previous output, shape (batch, nu) or (nu,); the equilibrium output if absent. It
+                is the output of an invalid step when the fallback is the last valid output.
+
+        Returns:
+            (xi_next, u, status) of shapes (batch, nxi), (batch, nu), (batch,), without the batch axis if
+            ``measurement`` has none. ``status`` holds :class:`StepStatus` values.
+        """
+        single = np.ndim(measurement) == 1
+        m = np.atleast_2d(np.asarray(measurement, self.dtype))
+        batch = len(m)
+        state = np.broadcast_to(np.asarray(xi, self.dtype), (batch, len(self.law.states))).copy()
+        held = self.equilibrium if last_output is None else np.asarray(last_output, self.dtype)
+        held = np.broadcast_to(held, (batch, len(self.law.outputs))).copy()
+        with np.errstate(all="ignore"):
+            result = self._step(m, state, held)
+        return (result[0][0], result[1][0], result[2][0]) if single else result
+
+    def _step(self, m: Array, xi: Array, held: Array) -> tuple[Array, Array, NDArray[np.int32]]:
+        status = np.zeros(len(m), np.int32)
+        corrupted = ~np.all(np.abs(xi) <= self._limit, axis=1)
+        if self.law.fallback is Fallback.LAST_OUTPUT:
+            corrupted |= ~np.all((held >= self.low) & (held <= self.high), axis=1)
+        else:
+            held[:] = self.equilibrium
+        xi[corrupted] = 0
+        held[corrupted] = self.equilibrium
+        _raise_to(status, corrupted, StepStatus.STATE_RESET)
+
+        next_xi, u, converged, in_range = self._evaluate(m, xi)
+        _raise_to(status, ~converged, StepStatus.NOT_CONVERGED)
+        _raise_to(status, ~in_range, StepStatus.OUT_OF_RANGE)
+        invalid = ~np.all(np.isfinite(m), axis=1)
+        _raise_to(status, invalid, StepStatus.INVALID_INPUT)
+        keep = (invalid | ~in_range)[:, None]
+        u = np.where(u >= self.low, np.where(u <= self.high, u, self.high), self.low)
+        return np.where(keep, xi, next_xi), np.where(keep, held, u), status
+
+    def _evaluate(self, m: Array, xi: Array) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Prepare, solve and update: (next xi, u, converged, in range)."""
+        batch = len(m)
+        c, N = self._walk(self.law.prepare, batch, m, xi)
+        in_range = np.all(np.isfinite(c[:, :, 0]), axis=1) & np.all(np.isfinite(N), axis=(1, 2))
+        t = np.zeros((batch, self.law.channels), self.dtype)
+        converged = np.ones(batch, np.bool_)
+        for solve in self.law.solves:
+            if isinstance(solve, ScalarSolve):
+                mu = N[:, solve.index, solve.index]
+                in_range &= mu >= 0
+                t[:, solve.index] = solve_scalar(mu, c[:, solve.index, 0], solve.iterations)
+            else:
+                rows = np.array(solve.indices)
+                t[:, rows], ok = solve_block(N[:, rows[:, None], rows], c[:, rows, 0], solve)
+                converged &= ok
+        next_xi, u = self._walk(self.law.update, batch, m, xi, t)
+        in_range &= np.all(np.abs(next_xi[:, :, 0]) <= self._limit, axis=1)
+        in_range &= np.all(np.isfinite(u[:, :, 0]), axis=1)
+        return next_xi[:, :, 0], u[:, :, 0], converged, in_range
+
+    def _walk(self, tape: Any, batch: int, *inputs: Array) -> list[Array]:
+        """The outputs of a tape as arrays of shape (batch, rows, columns)."""
+        outputs = tape.walk(self._algebra, [list(argument.T) for argument in inputs])
+        arrays = []
+        for matrix in outputs:
+            array = np.zeros((batch, *matrix.shape), self.dtype)
+            for (row, column), value in matrix.entries.items():
+                array[:, row, column] = value
+            arrays.append(array)
+        return arrays
+
+
+def equilibrium_output(law: ControlLaw) -> tuple[np.float32 | np.float64, ...]:
+    """-kappa in the precision of the law, moved into the emitted interval if rounding took it out."""
+    result = []
+    for signal, value, interval in zip(law.outputs, law.equilibrium_output, law.intervals, strict=True):
+        low, high = inward(interval, law.precision, f"the interval of `{signal.name}`")
+        rounded = nearest(Fraction(value), law.precision, f"the equilibrium value of `{signal.name}`")
+        result.append(min(max(rounded, low), high))
+    return tuple(result)
+
+
+def check_solves(law: ControlLaw) -> None:
+    """Raise ValueError unless the solves partition the channels and N couples no two solves."""
+    groups = [(s.index,) if isinstance(s, ScalarSolve) else s.indices for s in law.solves]
+    if sorted(i for group in groups for i in group) != list(range(law.channels)):
+        raise ValueError(f"the solves {groups} do not partition the {law.channels} channels")
+    group_of = {i: k for k, group in enumerate(groups) for i in group}
+    for row, column in law.prepare.outputs[1].entries:
+        if group_of[row] != group_of[column]:
+            raise ValueError(f"N[{row}, {column}] couples channels that are solved separately")
+
+
+def solve_scalar(mu: Array, c: Array, iterations: int) -> Array:
+    """tanh(s) of ``s + mu tanh(s) = c``, elementwise; mu >= 0. See the module's text."""
+    one = c.dtype.type(1)
+    r = np.abs(c)
+    s = scalar_start(mu, r)
+    t = np.tanh(s)
+    for _ in range(iterations):
+        s = s - ((s - r) + mu * t) / (one + mu * (one - t * t))
+        t = np.tanh(s)
+    result: Array = np.where(c < 0, -t, t)
+    return result
+
+
+def scalar_start(mu: Array, r: Array) -> Array:
+    """max(r/(1 + mu), r - mu): left of the root for r, mu >= 0."""
+    a = r / (r.dtype.type(1) + mu)
+    b = r - mu
+    start: Array = np.where(a > b, a, b)
+    return start
+
+
+def solve_block(N: Array, c: Array, solve: VectorSolve) -> tuple[Array, NDArray[np.bool_]]:
+    """tanh(s) of ``s + N tanh(s) = c`` and whether the residual met its limit. N: (batch, m, m), c: (batch, m)."""
+    real = c.dtype.type
+    r = np.abs(c)
+    s = np.where(c < 0, -1, 1).astype(c.dtype) * scalar_start(np.abs(np.einsum("kii->ki", N)), r)
+    limit = nearest(Fraction(solve.tolerance), _precision_of(c)) * (real(1) + np.max(r, axis=1, initial=0))
+    t, F, norm = _residual(N, c, s)
+    active = np.ones(len(c), np.bool_)
+    for _ in range(solve.iterations):
+        last = norm <= limit
+        d, regular = _newton_direction(N, t, F)
+        searching = active & regular
+        accepted = np.zeros(len(c), np.bool_)
+        step = np.ones(len(c), c.dtype)
+        for _ in range(solve.backtracks + 1):
+            trial = s - step[:, None] * d
+            t_trial, F_trial, norm_trial = _residual(N, c, trial)
+            better = searching & (norm_trial < norm)
+            s[better], t[better], F[better], norm[better] = (
+                trial[better], t_trial[better], F_trial[better], norm_trial[better],
+            )  # fmt: skip
+            accepted |= better
+            searching &= ~better & ~last
+            step = np.where(searching, step * real(0.5), step)
+        active &= accepted & ~last
+        if not active.any():
+            break
+    return t, norm <= limit
+
+
+def _residual(N: Array, c: Array, s: Array) -> tuple[Array, Array, Array]:
+    """Values t = tanh(s), F = (s - c) + N t summed row by row in order, and max|F| (NaN if any entry is)."""
+    t = np.tanh(s)
+    F = s - c
+    for j in range(s.shape[1]):
+        F = F + N[:, :, j] * t[:, j, None]
+    return t, F, np.max(np.abs(F), axis=1, initial=0)
+
+
+def _newton_direction(N: Array, t: Array, F: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """The d with (I + N diag(1 - t t)) d = F, and whether every pivot was nonzero."""
+    real = t.dtype.type
+    m = t.shape[1]
+    A = N * (real(1) - t * t)[:, None, :]
+    A[:, range(m), range(m)] += real(1)
+    d = F.copy()
+    rows = np.arange(len(t))
+    regular = np.ones(len(t), np.bool_)
+    for k in range(m):
+        pivot = k + np.argmax(np.abs(A[:, k:, k]), axis=1)
+        A[rows, k], A[rows, pivot] = A[rows, pivot], A[rows, k].copy()
+        d[rows, k], d[rows, pivot] = d[rows, pivot], d[rows, k].copy()
+        regular &= np.abs(A[:, k, k]) > 0
+        for i in range(k + 1, m):
+            factor = A[:, i, k] / A[:, k, k]
+            A[:, i, k + 1 :] -= factor[:, None] * A[:, k, k + 1 :]
+            d[:, i] -= factor * d[:, k]
+    for k in reversed(range(m)):
+        for j in range(k + 1, m):
+            d[:, k] -= A[:, k, j] * d[:, j]
+        d[:, k] /= A[:, k, k]
+    return d, regular
+
+
+def _precision_of(array: Array) -> Precision:
+    return "float" if array.dtype == np.float32 else "double"
+
+
+def _raise_to(status: NDArray[np.int32], where: NDArray[np.bool_], level: StepStatus) -> None:
+    """Raise the status to ``level`` where it is lower."""
+    status[where] = np.maximum(status[where], level)
+
+
+class NumpyAlgebra:
+    """SX operations on NumPy values of one precision. Comparisons and logic give 0 and 1."""
+
+    def __init__(self, precision: Precision) -> None:
+        self._precision = precision
+        self._dtype = DTYPES[precision]
+
+    def const(self, value: Fraction) -> Any:
+        """The nearest number of the precision; EmitError if it overflows or vanishes."""
+        return nearest(value, self._precision)
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        """The operation ``name`` of the tape; AttributeError if there is none."""
+        function = _OPERATIONS.get(name)
+        if function is None:
+            raise AttributeError(name)
+        dtype = self._dtype
+
+        def apply(*operands: Any) -> Any:
+            return np.asarray(function(*operands)).astype(dtype, copy=False)
+
+        return apply
+
+
+def _sign(x: Any) -> Any:
+    """-1, 0 or 1; NaN and the zeros as they are."""
+    return np.where(x < 0, -1, np.where(x > 0, 1, x))
+
+
+def _remainder(x: float, y: float) -> float:
+    """C's ``remainder``: x - n y with n the integer nearest to x/y; exact, NaN where it has no value."""
+    try:
+        return math.remainder(x, y)
+    except ValueError:
+        return math.nan
+
+
+_OPERATIONS: dict[str, Callable[..., Any]] = {
+    "assign": lambda x: x,
+    "assign_first": lambda x, _: x,
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    "neg": np.negative,
+    "inv": lambda x: 1 / x,
+    "sq": lambda x: x * x,
+    "twice": lambda x: x + x,
+    "exp": np.exp,
+    "expm1": np.expm1,
+    "log": np.log,
+    "log1p": np.log1p,
+    "pow": np.power,
+    "sqrt": np.sqrt,
+    "hypot": np.hypot,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "sinh": np.sinh,
+    "cosh": np.cosh,
+    "tanh": np.tanh,
+    "asinh": np.arcsinh,
+    "acosh": np.arccosh,
+    "atanh": np.arctanh,
+    "erf": special.erf,
+    "erfinv": special.erfinv,
+    "lt": np.less,
+    "le": np.less_equal,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "not_": lambda x: x == 0,
+    "and_": np.logical_and,
+    "or_": np.logical_or,
+    "if_else_zero": lambda condition, x: np.where(condition != 0, x, 0),
+    "floor": np.floor,
+    "ceil": np.ceil,
+    "fmod": np.fmod,
+    "remainder": np.vectorize(_remainder, otypes=[np.float64]),
+    "fabs": np.abs,
+    "sign": _sign,
+    "copysign": np.copysign,
+    "fmin": np.fmin,
+    "fmax": np.fmax,
+}

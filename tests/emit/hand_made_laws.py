@@ -1,0 +1,115 @@
+"""Small control laws, built by hand, that between them use every feature of the emitter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+
+import casadi as ca
+
+from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, Signal, VectorSolve
+from pbcgen.emit import Provenance
+from pbcgen.symbolic.tape import Tape
+
+PROVENANCE = Provenance(
+    model_hash="0" * 64,
+    verdicts=(("equilibrium", "PROVED", "at x*"), ("sampled-stable", "UNDECIDED", "sampled loop")),
+    allowed=("sampled-stable",),
+    notes=("Joint friction of 0.1 N m s was assumed.",),
+    derived={"kappa": [0.25], "gamma": ["q"]},
+)
+
+
+def two_channels(precision: Precision = "double", fallback: Fallback = Fallback.EQUILIBRIUM) -> ControlLaw:
+    """A stiff channel (mu = 90) and a soft one whose mu depends on the measurement."""
+    m, xi, t = ca.SX.sym("m", 2), ca.SX.sym("xi", 2), ca.SX.sym("t", 2)
+    c = ca.vertcat(100 * (m[0] - 1 + xi[0] / 1.7), 2 * m[1] + xi[1])
+    N = ca.SX(2, 2)
+    N[0, 0], N[1, 1] = 90, 0.001 * (1 + m[0] ** 2)
+    following = ca.vertcat((xi[0] - 0.9 * t[0]) / 1.7, xi[1] - 0.001 * t[1] * ca.cos(m[1]))
+    u = ca.vertcat(-2.5 * t[0] - 0.25, -0.5 * t[1] * ca.cos(m[1]))
+    return ControlLaw(
+        name="two channels",
+        law="natural-damping",
+        precision=precision,
+        sample_period=Fraction(1, 1000),
+        inputs=(Signal("i_L", "A", "coil current"), Signal("θ", "rad")),
+        outputs=(Signal("u", "V", "drive"), Signal("class", "N m")),
+        states=(Signal("x_c"), Signal("x_l")),
+        prepare=Tape.of([m, xi], [c, N]),
+        update=Tape.of([m, xi, t], [following, u]),
+        solves=(ScalarSolve(0, 8, 1e-12), ScalarSolve(1, 2, 1e-15)),
+        intervals=((Fraction(-275, 100), Fraction(225, 100)), (Fraction(-1, 3), Fraction(1, 3))),
+        equilibrium_output=(-0.25, 0.0),
+        fallback=fallback,
+        ranges={"i_L": (Fraction(0), Fraction(10))},
+    )
+
+
+def block(precision: Precision = "double", size: int = 3, stiffness: float = 20.0) -> ControlLaw:
+    """A full nonsymmetric block N = P Lambda with P(m) positive definite, and a held output."""
+    m, xi, t = ca.SX.sym("m", size), ca.SX.sym("xi", size), ca.SX.sym("t", size)
+    P = ca.SX.eye(size)
+    for i in range(size):
+        for j in range(size):
+            P[i, j] += ca.cos(m[0]) * 0.3 / size if i != j else 1 + 0.1 * i
+    N = stiffness * P @ ca.diag(ca.SX([1 + 0.5 * i for i in range(size)]))
+    c = 3 * m + xi
+    return ControlLaw(
+        name="block",
+        law="dynamic-extension",
+        precision=precision,
+        sample_period=Fraction(1, 500),
+        inputs=tuple(Signal(f"q{i}", "rad") for i in range(size)),
+        outputs=tuple(Signal(f"u{i}", "N m") for i in range(size)),
+        states=tuple(Signal(f"x{i}") for i in range(size)),
+        prepare=Tape.of([m, xi], [c, N]),
+        update=Tape.of([m, xi, t], [0.9 * xi - 0.1 * t, -2 * t]),
+        solves=(VectorSolve(tuple(range(size)), 30, 20, 1e-5 if precision == "float" else 1e-12),),
+        intervals=((Fraction(-2), Fraction(2)),) * size,
+        equilibrium_output=(0.0,) * size,
+        fallback=Fallback.LAST_OUTPUT,
+    )
+
+
+def mixed(precision: Precision = "double") -> ControlLaw:
+    """A constant block of channels 0 and 2, and a scalar channel 1 between them without iterations."""
+    m, xi, t = ca.SX.sym("m", 3), ca.SX.sym("xi", 1), ca.SX.sym("t", 3)
+    N = ca.SX(3, 3)
+    N[0, 0], N[0, 2], N[2, 0], N[2, 2] = 3, 1, 0.5, 2
+    solves = (
+        VectorSolve((0, 2), 20, 10, 1e-5 if precision == "float" else 1e-12),
+        ScalarSolve(1, 0, 0.0),
+    )
+    return replace(
+        block(precision),
+        name="mixed",
+        states=(Signal("x"),),
+        outputs=(Signal("u"),),
+        prepare=Tape.of([m, xi], [m - xi, N]),
+        update=Tape.of([m, xi, t], [xi / 2 + t[0] / 8, ca.sum1(t)]),
+        solves=solves,
+        intervals=((Fraction(-3), Fraction(3)),),
+        equilibrium_output=(0.0,),
+        fallback=Fallback.EQUILIBRIUM,
+    )
+
+
+def stateless(precision: Precision = "double") -> ControlLaw:
+    """No memory and no loop equation; u uses its own tanh and grows without bound before the clamp."""
+    m, xi, t = ca.SX.sym("m", 1), ca.SX.sym("xi", 0), ca.SX.sym("t", 0)
+    return ControlLaw(
+        name="stateless",
+        law="passive-output",
+        precision=precision,
+        sample_period=Fraction(1, 100),
+        inputs=(Signal("v", "m/s"),),
+        outputs=(Signal("F", "N"),),
+        states=(),
+        prepare=Tape.of([m, xi], [ca.SX(0, 1), ca.SX(0, 0)]),
+        update=Tape.of([m, xi, t], [ca.SX(0, 1), ca.tanh(m) - m**3]),
+        solves=(),
+        intervals=((Fraction(0), Fraction(31, 10)),),
+        equilibrium_output=(1.0,),
+        fallback=Fallback.EQUILIBRIUM,
+    )
