@@ -74,7 +74,14 @@ def midpoint(value: Real) -> Fraction:
     if not value.is_finite():
         raise ValueError("the enclosure is not finite")
     mantissa, exponent = value.mid().man_exp()
-    return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+    return _dyadic(int(mantissa), int(exponent))
+
+
+def _dyadic(mantissa: int, exponent: int) -> Fraction:
+    """``mantissa * 2**exponent`` (OverflowError when it would fill the memory)."""
+    if abs(exponent) > 10**6:
+        raise OverflowError("a number beyond 2**(10**6) occurred")
+    return Fraction(mantissa) * Fraction(2) ** exponent
 
 
 def lower(value: Real) -> Fraction:
@@ -92,7 +99,7 @@ def radius(value: Real) -> Fraction:
     if not isinstance(value, arb):
         return Fraction(0)
     mantissa, exponent = value.rad().man_exp()
-    return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+    return _dyadic(int(mantissa), int(exponent))
 
 
 def enclose(lo: Fraction, hi: Fraction) -> arb:

@@ -1,0 +1,247 @@
+"""Finding F with ``f = F grad S - rho`` (or A with ``grad S = A f``) for a system given without structure.
+
+The entries of F are sought as constants, or as affine functions of the state. Among the many F that fit, the one with
+the least symmetric part is taken: energy exchange is skew, so what is left is dissipation. Terms of f whose monomials
+do not occur in grad S (friction laws, diodes) go to the remainder rho. The search runs at the parameter values; the
+pattern of zeros and equal-and-opposite pairs is then imposed with the parameters symbolic. Nothing found here is
+trusted: the provers check the identities and signs again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+from flint import fmpq, fmpq_mpoly
+
+from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.real import fraction
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
+
+#: Systems with more unknown coefficients than this are not searched for state-dependent factors.
+_MOST_UNKNOWNS = 700
+
+Entry = tuple[int, int, int]
+Monomial = tuple[int, ...]
+#: An affine form over the rationals: coefficients by unknown, and CONSTANT.
+_Form = dict[Hashable, fmpq]
+
+
+@dataclass(frozen=True)
+class Factor:
+    """``targets = matrix * basis - remainder`` as exact functions."""
+
+    matrix: list[list[Quotient]]
+    remainder: list[Quotient]
+
+
+class Coefficients:
+    """Functions as polynomials in states and atoms, with coefficients that are functions of the parameters."""
+
+    def __init__(self, field: Field, parameters: frozenset[int]) -> None:
+        self.field = field
+        self.parameters = set(parameters)
+        for position, atom in sorted(field.atoms.items()):
+            if atom.argument.symbols() <= parameters:
+                self.parameters.add(position)
+
+    def split(self, function: Quotient) -> dict[Monomial, Quotient] | None:
+        """Coefficient by monomial, or None when the denominator depends on the state."""
+        if any(k not in self.parameters for k, d in enumerate(function.denominator.degrees()) if d):
+            return None
+        groups: dict[Monomial, dict[Monomial, fmpq]] = {}
+        for raw, coefficient in function.numerator.to_dict().items():
+            exponents = tuple(int(e) for e in raw)
+            state = tuple(0 if k in self.parameters else e for k, e in enumerate(exponents))
+            rest = tuple(e if k in self.parameters else 0 for k, e in enumerate(exponents))
+            groups.setdefault(state, {})[rest] = coefficient
+        return {
+            state: self.field.quotient(self._polynomial(terms), function.denominator)
+            for state, terms in groups.items()
+        }
+
+    def _polynomial(self, terms: dict[Monomial, fmpq]) -> fmpq_mpoly:
+        return self.field.context.from_dict(terms)
+
+
+def find_factor(
+    field: Field,
+    targets: Sequence[Quotient],
+    basis: Sequence[Quotient],
+    multipliers: Sequence[Quotient],
+    remainder_allowed: bool,
+) -> tuple[Factor, dict[Entry, Quotient]] | None:
+    """Coefficients C with ``targets_i = sum_jk C_ijk multipliers_k basis_j - remainder_i`` at parameter values.
+
+    Returns the factor and the coefficients by (i, j, k), or None if there are none.
+    """
+    equations = _matching_rows(field, targets, basis, multipliers, frozenset(), remainder_allowed)
+    if equations is None:
+        return None
+    rows, remainder = equations
+    size = len(targets)
+    if size * len(basis) * len(multipliers) > _MOST_UNKNOWNS:
+        return None
+    try:
+        solved = reduce_rows(rows)
+        entries = _least_symmetric(field, solved, size, len(basis), len(multipliers))
+    except Inconsistent:
+        return None
+    return _assemble(field, entries, size, len(basis), multipliers, remainder), entries
+
+
+def refine_symbolically(
+    field: Field,
+    targets: Sequence[Quotient],
+    basis: Sequence[Quotient],
+    multipliers: Sequence[Quotient],
+    parameters: frozenset[int],
+    pattern: dict[Entry, Quotient],
+    remainder_allowed: bool,
+) -> Factor | None:
+    """The factor with symbolic parameters that has the zeros and skew pairs of ``pattern``, or None."""
+    equations = _matching_rows(field, targets, basis, multipliers, parameters, remainder_allowed)
+    if equations is None:
+        return None
+    rows, remainder = equations
+    one = field.const(1)
+    size = len(targets)
+    nonzero = {entry for entry, value in pattern.items() if not value.is_zero()}
+    rows = [{key: v for key, v in row.items() if key == CONSTANT or key in nonzero} for row in rows]
+    for i, j, k in sorted(nonzero):
+        if i < j and (j, i, k) in nonzero and str(pattern[i, j, k].numerator) == str(-pattern[j, i, k].numerator):
+            rows.append({(i, j, k): one, (j, i, k): one})
+    try:
+        solution = particular_solution(reduce_rows(rows), field.const(0))
+    except Inconsistent:
+        return None
+    entries = {entry: value for entry, value in solution.items() if isinstance(entry, tuple)}
+    return _assemble(field, entries, size, len(basis), multipliers, remainder)
+
+
+def _matching_rows(
+    field: Field,
+    targets: Sequence[Quotient],
+    basis: Sequence[Quotient],
+    multipliers: Sequence[Quotient],
+    parameters: frozenset[int],
+    remainder_allowed: bool,
+) -> tuple[list[Row], list[Quotient]] | None:
+    """One equation for each target and monomial, and the parts of the targets that no product can match."""
+    coefficients = Coefficients(field, parameters)
+    products: dict[tuple[int, int], dict[Monomial, Quotient]] = {}
+    for j, k in product(range(len(basis)), range(len(multipliers))):
+        split = coefficients.split(basis[j] * multipliers[k])
+        if split is None:
+            return None
+        products[j, k] = split
+    reachable = {monomial for split in products.values() for monomial in split}
+    rows: list[Row] = []
+    remainder = []
+    for i, target in enumerate(targets):
+        split = coefficients.split(target)
+        if split is None:
+            return None
+        beyond = {m: c for m, c in split.items() if m not in reachable}
+        if beyond and not remainder_allowed:
+            return None
+        remainder.append(-_recombine(field, beyond))
+        for monomial in sorted(reachable):
+            row: Row = {(i, j, k): split_jk[monomial] for (j, k), split_jk in products.items() if monomial in split_jk}
+            if monomial in split:
+                row[CONSTANT] = -split[monomial]
+            rows.append(row)
+    return rows, remainder
+
+
+def _recombine(field: Field, terms: dict[Monomial, Quotient]) -> Quotient:
+    total = field.const(0)
+    for monomial, coefficient in terms.items():
+        total = total + field.polynomial(field.context.from_dict({monomial: fmpq(1)})) * coefficient
+    return total
+
+
+def _least_symmetric(
+    field: Field, solved: dict[Hashable, Row], size: int, width: int, depth: int
+) -> dict[Entry, Quotient]:
+    """The simplest solution over the rationals.
+
+    In this order: least state-dependent exchange that is not skew, least state dependence, least symmetric part off
+    the diagonal, least diagonal, least entries.
+    """
+    entries: list[Entry] = list(product(range(size), range(width), range(depth)))
+    forms: dict[Entry, _Form] = {}
+    for entry in entries:
+        row = solved.get(entry)
+        forms[entry] = {entry: fmpq(1)} if row is None else {k: -_number(v) for k, v in row.items() if k != entry}
+    symmetric = {
+        (i, j, k): _combine(forms[i, j, k], forms[j, i, k], fmpq(1))
+        for i, j, k in entries
+        if i < j < size and i < width
+    }
+    aims: list[list[_Form]] = [
+        [form for (_, _, k), form in symmetric.items() if k > 0],
+        [form for (_, _, k), form in forms.items() if k > 0],
+        [form for (_, _, k), form in symmetric.items() if k == 0],
+        [form for (i, j, k), form in forms.items() if k == 0 and i == j],
+        list(forms.values()),
+    ]
+    choice: dict[Hashable, _Form] = {}
+    for aim in aims:
+        substituted = [_substitute(form, choice) for form in aim]
+        settled = _least_squares([form for form in substituted if set(form) - {CONSTANT}])
+        choice = {key: _substitute(form, settled) for key, form in choice.items()} | settled
+    return {entry: field.const(fraction(_substitute(form, choice).get(CONSTANT, fmpq(0)))) for entry, form in forms.items()}
+
+
+def _number(value: Quotient) -> fmpq:
+    constant = value.constant()
+    if constant is None:
+        raise ValueError("a coefficient depends on a symbol")
+    return constant
+
+
+def _combine(a: _Form, b: _Form, weight: fmpq) -> _Form:
+    """``a + weight * b``."""
+    return {key: a.get(key, fmpq(0)) + weight * b.get(key, fmpq(0)) for key in {*a, *b}}
+
+
+def _substitute(form: _Form, choice: dict[Hashable, _Form]) -> _Form:
+    """The form with settled unknowns replaced."""
+    result: _Form = {}
+    for key, value in form.items():
+        result = _combine(result, choice.get(key, {key: fmpq(1)}), value)
+    return {key: value for key, value in result.items() if value != 0}
+
+
+def _least_squares(forms: Sequence[_Form]) -> dict[Hashable, _Form]:
+    """The unknowns as forms in those that the least sum of squares leaves free: the normal equations, exactly."""
+    rows: dict[Hashable, Row] = {}
+    for form in forms:
+        for unknown, weight in form.items():
+            if unknown == CONSTANT:
+                continue
+            row = rows.setdefault(unknown, {})
+            for key, value in form.items():
+                row[key] = row.get(key, fmpq(0)) + weight * value
+    return {
+        pivot: {key: -value for key, value in row.items() if key != pivot}
+        for pivot, row in reduce_rows(rows.values()).items()
+    }
+
+
+def _assemble(
+    field: Field,
+    entries: dict[Entry, Quotient],
+    size: int,
+    width: int,
+    multipliers: Sequence[Quotient],
+    remainder: list[Quotient],
+) -> Factor:
+    zero = field.const(0)
+    matrix = [[zero for _ in range(width)] for _ in range(size)]
+    for (i, j, k), value in entries.items():
+        if not value.is_zero():
+            matrix[i][j] = matrix[i][j] + value * multipliers[k]
+    return Factor(matrix, remainder)

@@ -1,0 +1,110 @@
+"""A system seen as formulas to be evaluated: exactly as functions, or in balls at a point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+import casadi as ca
+
+from pbcgen.models.affine import AffineSystem
+from pbcgen.symbolic.field import Field, Quotient, evaluate
+from pbcgen.symbolic.real import REAL, ZERO, Real, precision, reals
+from pbcgen.symbolic.tape import Matrix, Tape
+
+#: Bits of the enclosures at x*: about 100 decimal digits.
+BITS = 333
+
+
+@dataclass(frozen=True)
+class Point:
+    """A state and an input, each entry exact or enclosed."""
+
+    x: tuple[Real, ...]
+    u: tuple[Real, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """The system with the derivatives that the theory needs.
+
+    ``exact`` treats formulas as functions of (x, u, parameters), ``at`` evaluates them at one point.
+    """
+
+    system: AffineSystem
+
+    @cached_property
+    def gradient(self) -> ca.SX:
+        """grad S, n x 1. A front end's own expression of it is used where there is one."""
+        mechanics = self.system.mechanical
+        if mechanics is not None:
+            return mechanics.energy_gradient
+        return ca.gradient(self.system.S, self.system.x)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The symbols: states, inputs, parameters."""
+        return (*self.system.state_names, *self.system.input_names, *self.system.parameters.names)
+
+    @property
+    def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """(x, u, parameters), the inputs of every tape."""
+        return self.system.x, self.system.u, ca.SX(self.system.parameters.symbols)
+
+    @property
+    def values(self) -> Mapping[str, Fraction]:
+        """The exact parameter values."""
+        return self.system.parameters.values
+
+    def tape(self, *outputs: ca.SX) -> Tape:
+        """The tape of outputs that depend on (x, u, parameters)."""
+        return Tape.of(self.symbols, outputs)
+
+    def exact(
+        self, *outputs: ca.SX, symbolic: bool = False, known: Mapping[str, Fraction] | None = None
+    ) -> tuple[Field, list[Matrix[Quotient]]]:
+        """The outputs as exact functions of x and u; of the parameters too if ``symbolic``.
+
+        Raises UnsupportedOperation for operations that are not analytic.
+        """
+        values = {} if symbolic else dict(self.values)
+        return evaluate(self.tape(*outputs), self.names, {**values, **(known or {})})
+
+    def parameter_positions(self) -> frozenset[int]:
+        """Positions of the parameters among :attr:`names`."""
+        count = self.system.n + self.system.m
+        return frozenset(range(count, len(self.names)))
+
+    def at(self, point: Point, *outputs: ca.SX) -> list[list[list[Real]]]:
+        """The outputs at a point as dense matrices of exact numbers or balls."""
+        with precision(BITS):
+            return self.walk(self.tape(*outputs), point.x, point.u)
+
+    def walk(self, tape: Tape, x: Sequence[Real], u: Sequence[Real]) -> list[list[list[Real]]]:
+        """The outputs of a tape of (x, u, parameters) at the current precision."""
+        parameters = reals([self.values[name] for name in self.system.parameters.names])
+        return [matrix.dense(ZERO) for matrix in tape.walk(REAL, [list(x), list(u), parameters])]
+
+    def numeric(self, *outputs: ca.SX) -> ca.Function:
+        """A floating-point function (x, u) -> outputs at the parameter values."""
+        x, u, parameters = self.symbols
+        values = ca.DM([float(self.values[name]) for name in self.system.parameters.names])
+        at_values = [ca.substitute(ca.SX(o), parameters, values) if values.numel() else ca.SX(o) for o in outputs]
+        return ca.Function("numeric", [x, u], at_values)
+
+
+def columns(matrix: Matrix[Quotient], zero: Quotient) -> list[list[Quotient]]:
+    """The columns of a matrix of functions."""
+    dense = matrix.dense(zero)
+    return [[row[j] for row in dense] for j in range(matrix.shape[1])]
+
+
+def dot(left: Iterable[Quotient], right: Iterable[Quotient], zero: Quotient) -> Quotient:
+    """The sum of products."""
+    total = zero
+    for a, b in zip(left, right, strict=True):
+        if not (a.is_zero() or b.is_zero()):
+            total = total + a * b
+    return total

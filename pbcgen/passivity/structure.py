@@ -1,0 +1,156 @@
+"""The power structure of a system: how its drift and the gradient of its storage are related.
+
+Two forms: ``f = F(x) grad S - rho(x)`` (port-Hamiltonian, with a remainder of friction-like terms) and
+``grad S = A(x) f`` (Brayton-Moser). In both, with v the vector that the dissipation is a quadratic form of,
+
+    u^T y - dS/dt = v^T B v + rho^T grad S,   B = -sym F, v = grad S - (grad gamma) u   or   B = -sym A, v = x'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import casadi as ca
+
+from pbcgen.errors import UnsupportedOperation
+from pbcgen.passivity.factor import Factor, find_factor, refine_symbolically
+from pbcgen.passivity.plant import Plant, dot
+from pbcgen.proof.nonnegative import nonnegative, semidefinite
+from pbcgen.symbolic.field import Field, Quotient
+
+Matrix = list[list[Quotient]]
+
+
+@dataclass(frozen=True, eq=False)
+class PowerStructure:
+    """One of the two forms, as SX expressions of the state and the parameters.
+
+    Attributes:
+        form: ``F`` for f = F grad S - rho, ``A`` for grad S = A f.
+        matrix: F or A, n x n.
+        remainder: rho, n x 1; zero for the form A.
+        origin: where it comes from, for the evidence of verdicts.
+    """
+
+    form: Literal["F", "A"]
+    matrix: ca.SX
+    remainder: ca.SX
+    origin: str
+
+    def dissipation(self) -> ca.SX:
+        """B, n x n symmetric."""
+        return -(self.matrix + self.matrix.T) / 2
+
+
+def candidates(plant: Plant) -> Iterator[PowerStructure]:
+    """Structures to try: the model's own first, then what the search finds, simplest first."""
+    system = plant.system
+    zero = ca.SX(system.n, 1)
+    known = system.structure
+    if known is not None and known.F is not None:
+        yield PowerStructure("F", ca.SX(known.F), zero, "the model's structure f = F grad S")
+    if known is not None and known.A is not None:
+        yield PowerStructure("A", ca.SX(known.A), zero, "the model's structure grad S = A f")
+    try:
+        yield from _searched(plant)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return
+
+
+def _searched(plant: Plant) -> Iterator[PowerStructure]:
+    for form, affine in (("F", False), ("A", False), ("A", True), ("F", True)):
+        found = _search(plant, form == "F", affine)
+        if found is not None:
+            wording = "affine in states and atoms" if affine else "constant"
+            relation = "f = F grad S" if form == "F" else "grad S = A f"
+            origin = f"{relation} found with {form} {wording}"
+            yield PowerStructure("F" if form == "F" else "A", found[0], found[1], origin)
+
+
+def _search(plant: Plant, drift_first: bool, affine: bool) -> tuple[ca.SX, ca.SX] | None:
+    field, targets, basis, multipliers = _sides(plant, drift_first, affine, symbolic=False)
+    found = find_factor(field, targets, basis, multipliers, drift_first)
+    if found is None:
+        return None
+    factor, pattern = found
+    symbolic_field, *sides = _sides(plant, drift_first, affine, symbolic=True)
+    if len(sides[2]) == len(multipliers):
+        refined = refine_symbolically(
+            symbolic_field, *sides, plant.parameter_positions(), pattern, remainder_allowed=drift_first
+        )
+        if refined is not None:
+            return _as_expressions(plant, symbolic_field, refined)
+    return _as_expressions(plant, field, factor)
+
+
+def _sides(
+    plant: Plant, drift_first: bool, affine: bool, symbolic: bool
+) -> tuple[Field, list[Quotient], list[Quotient], list[Quotient]]:
+    field, (drift, gradient) = plant.exact(plant.system.f, plant.gradient, symbolic=symbolic)
+    zero = field.const(0)
+    f, e = drift.column(zero), gradient.column(zero)
+    multipliers = [field.const(1)]
+    if affine:
+        multipliers += [field.symbol(k) for k in range(plant.system.n)]
+        parameters = plant.parameter_positions()
+        multipliers += [
+            field.symbol(k) for k, atom in sorted(field.atoms.items()) if not atom.argument.symbols() <= parameters
+        ]
+    return field, *((f, e) if drift_first else (e, f)), multipliers
+
+
+def _as_expressions(plant: Plant, field: Field, factor: Factor) -> tuple[ca.SX, ca.SX]:
+    symbols = [s for column in plant.symbols for s in ca.vertsplit(column)] if plant.names else []
+    rows = [[field.to_sx(entry, symbols) for entry in row] for row in factor.matrix]
+    matrix = ca.vertcat(*[ca.horzcat(*row) for row in rows])
+    remainder = ca.vertcat(*[field.to_sx(entry, symbols) for entry in factor.remainder])
+    return ca.sparsify(matrix), ca.sparsify(remainder)
+
+
+@dataclass(frozen=True)
+class StructureProof:
+    """What the exact provers say of a structure: each must hold for Assumption 1 by this route."""
+
+    identity: bool
+    dissipation: bool
+    remainder: bool
+
+    @property
+    def complete(self) -> bool:
+        """Whether Assumption 1 follows."""
+        return self.identity and self.dissipation and self.remainder
+
+
+def prove(plant: Plant, structure: PowerStructure) -> StructureProof:
+    """Check ``f = F grad S - rho`` (or grad S = A f), ``B >= 0`` and ``rho^T grad S >= 0`` as exact functions."""
+    try:
+        field, (f, e, matrix, remainder, dissipation) = plant.exact(
+            plant.system.f, plant.gradient, structure.matrix, structure.remainder, structure.dissipation()
+        )
+    except (UnsupportedOperation, ZeroDivisionError):
+        return StructureProof(False, False, False)
+    zero = field.const(0)
+    drift, gradient, rho = f.column(zero), e.column(zero), remainder.column(zero)
+    left, right = (drift, gradient) if structure.form == "F" else (gradient, drift)
+    rows = matrix.dense(zero)
+    identity = all(
+        (left[i] - dot(rows[i], right, zero) + (rho[i] if structure.form == "F" else zero)).is_zero()
+        for i in range(len(left))
+    )
+    return StructureProof(
+        identity, semidefinite(dissipation.dense(zero)), nonnegative(dot(rho, gradient, zero))
+    )
+
+
+def power_structure(plant: Plant) -> tuple[PowerStructure, StructureProof] | None:
+    """The first structure that proves Assumption 1, else the first whose identity holds, else None."""
+    fallback = None
+    for structure in candidates(plant):
+        proof = prove(plant, structure)
+        if proof.complete:
+            return structure, proof
+        if proof.identity and fallback is None:
+            fallback = structure, proof
+    return fallback

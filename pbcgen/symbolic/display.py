@@ -1,0 +1,122 @@
+"""Formulas of exact functions as text, grouped by state and atom, with factored coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from fractions import Fraction
+
+from flint import fmpq, fmpq_mpoly
+
+from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.real import fraction
+
+
+def number(value: Fraction, digits: int = 12) -> str:
+    """A rational for a reader: a short decimal when it is one, else a fraction, else a rounded decimal."""
+    shown = f"{float(value):.{digits}g}"
+    if Fraction(shown) == value:
+        return shown
+    return f"{value.numerator}/{value.denominator}" if value.denominator < 10**4 else shown
+
+
+def formula(function: Quotient, parameters: Iterable[int] = ()) -> str:
+    """The function as text in the names of its field; symbols in ``parameters`` form the coefficients."""
+    return _Printer(function.field, frozenset(parameters)).function(function)
+
+
+class _Printer:
+    """Prints the functions of one field."""
+
+    def __init__(self, field: Field, parameters: frozenset[int]) -> None:
+        self.field = field
+        self.parameters = parameters | {k for k, a in field.atoms.items() if a.argument.symbols() <= parameters}
+        self._atoms: dict[int, str] = {}
+
+    def generator(self, k: int) -> str:
+        if k < self.field.symbol_count:
+            return self.field.names[k]
+        if k not in self._atoms:
+            atom = self.field.atoms[k]
+            self._atoms[k] = f"{atom.kind}({self.function(atom.argument)})"
+        return self._atoms[k]
+
+    def function(self, function: Quotient) -> str:
+        if function.is_zero():
+            return "0"
+        state_in_denominator = any(
+            degree and k not in self.parameters for k, degree in enumerate(function.denominator.degrees())
+        )
+        if state_in_denominator:
+            return self._ratio(function.numerator, function.denominator)
+        groups: dict[tuple[int, ...], dict[tuple[int, ...], fmpq]] = {}
+        for raw, coefficient in function.numerator.to_dict().items():
+            exponents = tuple(int(e) for e in raw)
+            state = tuple(0 if k in self.parameters else e for k, e in enumerate(exponents))
+            rest = tuple(e if k in self.parameters else 0 for k, e in enumerate(exponents))
+            groups.setdefault(state, {})[rest] = coefficient
+        terms = []
+        for state in sorted(groups, key=lambda e: (sum(e) == 0, [-x for x in e])):
+            coefficient = self.field.quotient(self.field.context.from_dict(groups[state]), function.denominator)
+            terms.append(self._term(coefficient, self._power_product(state)))
+        text = terms[0]
+        for term in terms[1:]:
+            text += f" - {term[1:]}" if term.startswith("-") else f" + {term}"
+        return text
+
+    def _term(self, coefficient: Quotient, product: str) -> str:
+        constant = coefficient.constant()
+        if constant is not None:
+            if not product:
+                return number(fraction(constant))
+            if abs(constant) == 1:
+                return product if constant > 0 else f"-{product}"
+            return f"{number(fraction(constant))}*{product}"
+        text = self._ratio(coefficient.numerator, coefficient.denominator)
+        return f"{text}*{product}" if product else text
+
+    def _ratio(self, numerator: fmpq_mpoly, denominator: fmpq_mpoly) -> str:
+        top = self._factored(numerator)
+        if denominator.is_constant():
+            return top
+        top = f"({top})" if " " in top and not top.startswith("(") else top
+        bottom = self._factored(denominator)
+        simple = not any(sign in bottom for sign in "*/ ") or (bottom.startswith("(") and bottom.count("(") == 1
+                                                              and bottom.endswith(")"))
+        return f"{top}/{bottom}" if simple else f"{top}/({bottom})"
+
+    def _factored(self, polynomial: fmpq_mpoly) -> str:
+        """The polynomial as a product of its irreducible factors over Q."""
+        scale, factors = polynomial.factor()
+        parts = []
+        for factor, exponent in factors:
+            text = self._sum(factor)
+            text = f"({text})" if len(factor) > 1 else text
+            parts.append(f"{text}^{int(exponent)}" if exponent > 1 else text)
+        parts.sort(key=lambda part: (part.startswith("("), part))
+        constant = fraction(fmpq(scale))
+        if not parts:
+            return number(constant)
+        sign = "-" if constant < 0 else ""
+        if abs(constant) != 1:
+            parts.insert(0, number(abs(constant)))
+        if len(parts) == 1 and parts[0].startswith("(") and parts[0].endswith(")") and not sign:
+            return parts[0][1:-1] if parts[0].count("(") == 1 else parts[0]
+        return sign + "*".join(parts)
+
+    def _sum(self, polynomial: fmpq_mpoly) -> str:
+        terms = []
+        for raw, coefficient in sorted(polynomial.to_dict().items(), reverse=True):
+            product = self._power_product(tuple(int(e) for e in raw))
+            value = fraction(coefficient)
+            if not product:
+                terms.append(number(value))
+            elif abs(value) == 1:
+                terms.append(product if value > 0 else f"-{product}")
+            else:
+                terms.append(f"{number(value)}*{product}")
+        return " + ".join(terms).replace("+ -", "- ")
+
+    def _power_product(self, exponents: tuple[int, ...]) -> str:
+        return "*".join(
+            self.generator(k) if e == 1 else f"{self.generator(k)}^{e}" for k, e in enumerate(exponents) if e
+        )
