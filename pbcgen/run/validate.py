@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -15,10 +16,11 @@ from numpy.typing import NDArray
 from pbcgen.control.law import Fallback
 from pbcgen.control.rounding import DTYPES
 from pbcgen.control.step import ReferenceStep, StepStatus, equilibrium_output
+from pbcgen.emit.package import Provenance, render
 from pbcgen.errors import ToolchainError
 from pbcgen.run.agreement import Allowance
 from pbcgen.run.simulate import (
-    PythonStepper,
+    Stepper,
     Tolerance,
     Trajectory,
     simulate_continuous,
@@ -192,9 +194,20 @@ def validate(
     """
     tell = progress or (lambda stage: None)
     tell("compile")
-    with Controller.of_package(package) as controller:
+    with ExitStack() as open_controllers:
+
+        def compiled(rendered: Package) -> Controller:
+            return open_controllers.enter_context(Controller.of_package(rendered))
+
         return validate_controller(
-            law, controller, loop, relaw, seed=seed, samples=samples, steps=steps, progress=progress
+            law,
+            compiled(package),
+            loop,
+            lambda h: compiled(render(relaw(h), Provenance("", ()))),
+            seed=seed,
+            samples=samples,
+            steps=steps,
+            progress=progress,
         )
 
 
@@ -202,14 +215,18 @@ def validate_controller(
     law: ControlLaw,
     controller: Controller,
     loop: ClosedLoop,
-    relaw: Callable[[Fraction], ControlLaw],
+    stepper: Callable[[Fraction], Stepper],
     *,
     seed: int = 0,
     samples: int = 20_000,
     steps: int = 2_000,
     progress: Callable[[str], None] | None = None,
 ) -> Validation:
-    """Like :func:`validate`, for C that is compiled already."""
+    """Like :func:`validate`, for C that is compiled already.
+
+    ``stepper`` gives the controller for a sample period h, in double precision; each is used before the next is made.
+    """
+    _held_outputs(law, controller)
     tell = progress or (lambda stage: None)
     h = law.sample_period
     count = max(min(steps, math.floor(Fraction(loop.duration) / h)), 1)
@@ -218,7 +235,7 @@ def validate_controller(
     tell("C against Python")
     agreement, u_random = compare(law, controller, loop, run, seed=seed, samples=samples)
     tell("sampled against continuous")
-    convergence, runs = observe_order(loop, relaw, h, count)
+    convergence, runs = observe_order(loop, stepper, h, count)
     tell("limits")
     outputs = check_limits(law, [u_random, run.u, *(sampled.u for sampled in runs)])
     return Validation(law.name, law.precision, h, seed, agreement, convergence, outputs)
@@ -280,7 +297,7 @@ def compare(
 
 
 def observe_order(
-    loop: ClosedLoop, relaw: Callable[[Fraction], ControlLaw], h: Fraction, count: int
+    loop: ClosedLoop, stepper: Callable[[Fraction], Stepper], h: Fraction, count: int
 ) -> tuple[Convergence, tuple[Trajectory, ...]]:
     """Test (2): the error of the sampled loop over ``count`` periods h, for h, h/2, h/4; also returns the runs."""
     tolerance = Tolerance()
@@ -290,7 +307,7 @@ def observe_order(
     runs, means, maxima = [], [], []
     for divisor in (1, 2, 4):
         period = h / divisor
-        run = simulate_sampled(loop, PythonStepper(relaw(period)), period, float(count * h), tolerance)
+        run = simulate_sampled(loop, stepper(period), period, float(count * h), tolerance)
         error = np.abs(run.x[divisor::divisor] - continuous.x) / scale
         runs.append(run)
         means.append(error.mean(axis=0))

@@ -1,5 +1,5 @@
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
@@ -9,7 +9,6 @@ import numpy as np
 import oscillator
 import pytest
 
-from pbcgen.control.law import ControlLaw
 from pbcgen.control.step import ReferenceStep
 from pbcgen.run.agreement import Allowance, _Inexact
 from pbcgen.run.simulate import PythonStepper, simulate_sampled
@@ -24,16 +23,14 @@ def compiled(precision: str = "double", **fault: object) -> Iterator[Controller]
         yield controller
 
 
-def rediscretised(h: Fraction) -> ControlLaw:
-    return oscillator.law(h=h)
+def rediscretised(h: Fraction) -> PythonStepper:
+    return PythonStepper(oscillator.law(h=h))
 
 
 def validated(precision: str = "double", **fault: object) -> Validation:
-    relaw: Callable[[Fraction], ControlLaw] = lambda h: oscillator.law(h=h)  # noqa: E731
+    law, loop = oscillator.law(precision), oscillator.loop()
     with compiled(precision, **fault) as controller:
-        return validate_controller(
-            oscillator.law(precision), controller, oscillator.loop(), relaw, samples=4000, steps=150
-        )
+        return validate_controller(law, controller, loop, rediscretised, samples=4000, steps=150)
 
 
 def compared(precision: str, **fault: object):
@@ -109,8 +106,8 @@ def test_an_output_that_is_no_number_is_outside(value: float) -> None:
 
 def test_a_law_for_another_sample_period_does_not_converge() -> None:
     loop = oscillator.loop()
-    right, _ = observe_order(loop, lambda h: oscillator.law(h=h), oscillator.PERIOD, 200)
-    wrong, _ = observe_order(loop, lambda h: oscillator.law(h=2 * h, stated=h), oscillator.PERIOD, 200)
+    right, _ = observe_order(loop, rediscretised, oscillator.PERIOD, 200)
+    wrong, _ = observe_order(loop, lambda h: PythonStepper(oscillator.law(h=2 * h, stated=h)), oscillator.PERIOD, 200)
     assert right.passed
     assert not wrong.passed
     assert "does not vanish" in wrong.note
@@ -118,13 +115,13 @@ def test_a_law_for_another_sample_period_does_not_converge() -> None:
 
 def test_a_law_that_keeps_its_old_coefficients_does_not_converge() -> None:
     loop = oscillator.loop()
-    stale, _ = observe_order(loop, lambda h: oscillator.law(stated=h), oscillator.PERIOD, 200)
+    stale, _ = observe_order(loop, lambda h: PythonStepper(oscillator.law(stated=h)), oscillator.PERIOD, 200)
     assert not stale.passed
 
 
 def test_no_order_is_claimed_below_the_accuracy_of_the_integration() -> None:
     loop = replace(oscillator.loop(), initial=np.zeros(2))
-    convergence, _ = observe_order(loop, lambda h: oscillator.law(h=h), oscillator.PERIOD, 20)
+    convergence, _ = observe_order(loop, rediscretised, oscillator.PERIOD, 20)
     assert convergence.passed
     assert "no order to be seen" in convergence.note
 
