@@ -26,12 +26,13 @@ summed first: it is exact or harmless for r up to the largest finite number, whe
 
 Block solve: s + N tanh(s) = c
 ------------------------------
-Damped Newton. I + N diag(1 - t t) is nonsingular for every s. The start is s_0 of the scalar solve for each diagonal
-entry of N. The norm of the residual is the maximum norm: it cannot overflow by squaring, and a Newton step reduces
-every norm. A step is halved until the norm is less than it was, ``backtracks`` times at the most; if it never is, s
-is kept and the iteration ends. The limit is ``tolerance (1 + max|c|)``. The first iterate that meets it tries one
-more full step, which takes the error to rounding level. The linear solve is elimination with partial pivoting (the
-first largest pivot).
+Newton's method; I + N diag(1 - t t) is nonsingular for every s. The start is s_0 of the scalar solve for each diagonal
+entry of N. Far from the root a full step can throw a component from one saturation of tanh deep into the other, and
+back; so a step is cut to the point where the first such component has gone 1 beyond zero. (A line search on the norm of
+the residual stalls on stiff, badly conditioned N, where this rule does not.) The residual is measured in the maximum
+norm, which cannot overflow by squaring. The first iterate with ``max|residual| <= tolerance (1 + max|c|)`` makes one
+more step, kept if it is better, which takes the error to rounding level. The linear solve is elimination with partial
+pivoting (the first largest pivot).
 """
 
 from __future__ import annotations
@@ -207,39 +208,41 @@ def solve_block(N: Array, c: Array, solve: VectorSolve) -> tuple[Array, NDArray[
     """tanh(s) of ``s + N tanh(s) = c`` and whether the residual met its limit. N: (batch, m, m), c: (batch, m)."""
     real = c.dtype.type
     r = np.abs(c)
-    s = np.where(c < 0, -1, 1).astype(c.dtype) * scalar_start(np.abs(np.einsum("kii->ki", N)), r)
+    s = np.where(c < 0, real(-1), real(1)) * scalar_start(np.abs(np.einsum("kii->ki", N)), r)
     limit = nearest(Fraction(solve.tolerance), _precision_of(c)) * (real(1) + np.max(r, axis=1, initial=0))
     t, F, norm = _residual(N, c, s)
     active = np.ones(len(c), np.bool_)
     for _ in range(solve.iterations):
-        last = norm <= limit
+        is_last = norm <= limit
         d, regular = _newton_direction(N, t, F)
-        searching = active & regular
-        accepted = np.zeros(len(c), np.bool_)
-        step = np.ones(len(c), c.dtype)
-        for _ in range(solve.backtracks + 1):
-            trial = s - step[:, None] * d
-            t_trial, F_trial, norm_trial = _residual(N, c, trial)
-            better = searching & (norm_trial < norm)
-            s[better], t[better], F[better], norm[better] = (
-                trial[better], t_trial[better], F_trial[better], norm_trial[better],
-            )  # fmt: skip
-            accepted |= better
-            searching &= ~better & ~last
-            step = np.where(searching, step * real(0.5), step)
-        active &= accepted & ~last
+        active &= regular
+        s = np.where(active[:, None], s - _cut(s, d)[:, None] * d, s)
+        t_next, F_next, norm_next = _residual(N, c, s)
+        keep = active & (~is_last | (norm_next < norm))
+        t[keep], F[keep], norm[keep] = t_next[keep], F_next[keep], norm_next[keep]
+        active &= ~is_last
         if not active.any():
             break
     return t, norm <= limit
 
 
+def _cut(s: Array, d: Array) -> Array:
+    """The factor of the step -d: at most 1, and no component of s changes sign to beyond -1 or 1."""
+    one = s.dtype.type(1)
+    crosses = ((s > 0) & (s - d < -one)) | ((s < 0) & (s - d > one))
+    bound = np.divide(np.abs(s) + one, np.abs(d), out=np.ones_like(s), where=crosses)
+    cut: Array = np.min(bound, axis=1, initial=1)
+    return cut
+
+
 def _residual(N: Array, c: Array, s: Array) -> tuple[Array, Array, Array]:
-    """Values t = tanh(s), F = (s - c) + N t summed row by row in order, and max|F| (NaN if any entry is)."""
+    """Values t = tanh(s), F = (s - c) + N t summed in order, and max|F| (the largest number if F is not finite)."""
     t = np.tanh(s)
     F = s - c
     for j in range(s.shape[1]):
         F = F + N[:, :, j] * t[:, j, None]
-    return t, F, np.max(np.abs(F), axis=1, initial=0)
+    largest = np.finfo(s.dtype).max
+    return t, F, np.max(np.where(np.isfinite(F), np.abs(F), largest), axis=1, initial=0)
 
 
 def _newton_direction(N: Array, t: Array, F: Array) -> tuple[Array, NDArray[np.bool_]]:

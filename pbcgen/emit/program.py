@@ -94,7 +94,6 @@ class BlockFunction:
     name: str
     size: int
     iterations: int
-    backtracks: int
     tolerance: str
 
 
@@ -296,12 +295,12 @@ class _SolverFunctions:
     """The solver functions, each for the solves that can share it."""
 
     scalar: Mapping[int, ScalarFunction]
-    block: Mapping[tuple[int, int, int, float], BlockFunction]
+    block: Mapping[tuple[int, int, float], BlockFunction]
 
     @staticmethod
     def of(law: ControlLaw, prefix: str) -> _SolverFunctions:
         scalar: dict[int, ScalarFunction] = {}
-        block: dict[tuple[int, int, int, float], BlockFunction] = {}
+        block: dict[tuple[int, int, float], BlockFunction] = {}
         bounds: dict[int, float] = {}
         for solve in law.solves:
             if isinstance(solve, ScalarSolve):
@@ -310,15 +309,15 @@ class _SolverFunctions:
                 name = f"{prefix}_solve_block{len(block) or ''}"
                 tolerance = literal(nearest(Fraction(solve.tolerance), law.precision, "the tolerance"))
                 m = len(solve.indices)
-                block[_key(solve)] = BlockFunction(name, m, solve.iterations, solve.backtracks, tolerance)
+                block[_key(solve)] = BlockFunction(name, m, solve.iterations, tolerance)
         for iterations, bound in sorted(bounds.items()):
             name = f"{prefix}_solve" if len(bounds) == 1 else f"{prefix}_solve_in_{iterations}"
             scalar[iterations] = ScalarFunction(name, iterations, f"{bound:.2g}")
         return _SolverFunctions(scalar, block)
 
 
-def _key(solve: VectorSolve) -> tuple[int, int, int, float]:
-    return (len(solve.indices), solve.iterations, solve.backtracks, solve.tolerance)
+def _key(solve: VectorSolve) -> tuple[int, int, float]:
+    return (len(solve.indices), solve.iterations, solve.tolerance)
 
 
 def _body(law: ControlLaw, prefix: str, members: _Members, functions: _SolverFunctions) -> Body:

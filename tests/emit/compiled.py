@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from pbcgen.emit import Package
 
 WARNINGS = (
-    "-pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -Wshadow -Wcast-qual -Wmissing-prototypes -Wundef -Werror"
-).split()
+    *("-pedantic", "-Wall", "-Wextra", "-Werror", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Wcast-qual"),
+    *("-Wmissing-prototypes", "-Wundef"),
+)
 ZIG = [sys.executable, "-m", "ziglang", "cc"]
 
 

@@ -65,7 +65,7 @@ def block(precision: Precision = "double", size: int = 3, stiffness: float = 20.
         states=tuple(Signal(f"x{i}") for i in range(size)),
         prepare=Tape.of([m, xi], [c, N]),
         update=Tape.of([m, xi, t], [0.9 * xi - 0.1 * t, -2 * t]),
-        solves=(VectorSolve(tuple(range(size)), 30, 20, 1e-5 if precision == "float" else 1e-12),),
+        solves=(VectorSolve(tuple(range(size)), 20, 1e-5 if precision == "float" else 1e-12),),
         intervals=((Fraction(-2), Fraction(2)),) * size,
         equilibrium_output=(0.0,) * size,
         fallback=Fallback.LAST_OUTPUT,
@@ -78,7 +78,7 @@ def mixed(precision: Precision = "double") -> ControlLaw:
     N = ca.SX(3, 3)
     N[0, 0], N[0, 2], N[2, 0], N[2, 2] = 3, 1, 0.5, 2
     solves = (
-        VectorSolve((0, 2), 20, 10, 1e-5 if precision == "float" else 1e-12),
+        VectorSolve((0, 2), 15, 1e-5 if precision == "float" else 1e-12),
         ScalarSolve(1, 0, 0.0),
     )
     return replace(

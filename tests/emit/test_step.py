@@ -160,7 +160,7 @@ def test_a_corrupted_state_is_reset_and_reported(tmp_path):
 
 def test_an_unsolved_loop_is_reported_and_stays_bounded(tmp_path):
     law = laws.block("double")
-    law = replace(law, solves=(replace(law.solves[0], iterations=1, backtracks=0),))
+    law = replace(law, solves=(replace(law.solves[0], iterations=1),))
     compiled = Compiled(law, render(law, laws.PROVENANCE), tmp_path)
     m = np.linspace(-9, 9, 30).reshape(10, 3)
     state = np.tile(compiled.initial_state(), (10, 1))
