@@ -176,7 +176,7 @@ def _draw(axes: Axes, panel: _Panel, continuous: tuple[Array, Array], sampled: t
     for name, column, levels, colour in zip(panel.names, panel.columns, panel.levels, COLOURS, strict=False):
         axes.plot(continuous[0], continuous[1][:, column], color=colour, alpha=0.3, linewidth=5.0)
         axes.plot(sampled[0], sampled[1][:, column], color=colour, linewidth=1.4, drawstyle=style, label=_plain(name))
-        for level in levels:
+        for level in () if shared and name != panel.names[0] else levels:
             axes.axhline(
                 level,
                 color=_LEVEL_COLOUR if shared else colour,
@@ -187,7 +187,7 @@ def _draw(axes: Axes, panel: _Panel, continuous: tuple[Array, Array], sampled: t
     axes.margins(x=0, y=0.08)
     axes.set_ylabel(f"{', '.join(map(_plain, panel.names))}" + (f" [{_plain(panel.unit)}]" if panel.unit else ""))
     if len(panel.names) > 1:
-        axes.legend(loc="best", ncols=len(panel.names))
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.0, ncols=len(panel.names))
 
 
 def _explain(figure: Figure) -> None:

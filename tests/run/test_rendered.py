@@ -14,6 +14,7 @@ from pbcgen.control.closed_loop import ClosedLoop
 from pbcgen.control.law import ControlLaw, Fallback, ScalarSolve, Signal, VectorSolve
 from pbcgen.emit.package import Package, Provenance, render
 from pbcgen.errors import ToolchainError
+from pbcgen.run.toolchain import find_zig
 from pbcgen.run.validate import validate
 from pbcgen.run.wrapper import Controller, Interface
 from pbcgen.symbolic.tape import Tape
@@ -118,6 +119,18 @@ def oscillating_update(factor: float) -> Tape:
 def test_a_package_of_another_law_is_refused() -> None:
     with pytest.raises(ToolchainError, match="does not belong to the law of `oscillator`"):
         validate(oscillator.law(), rendered(coupled_law()), oscillator.loop(), lambda h: oscillator.law(h=h), steps=10)
+
+
+@pytest.mark.slow
+def test_zig_and_cc_compile_to_the_same_controller() -> None:
+    zig = find_zig()
+    if zig is None:
+        pytest.skip("ziglang is not installed")
+    package, generator = rendered(coupled_law("float")), np.random.default_rng(5)
+    m, states = generator.normal(size=(1000, 2)), generator.normal(size=(1000, 4))
+    with Controller.of_package(package) as cc, Controller.of_package(package, compiler=zig) as other:
+        for first, second in zip(cc.step_many(m, states), other.step_many(m, states), strict=True):
+            np.testing.assert_array_equal(first, second)
 
 
 def test_users_names_stay_where_c_renames() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from pbcgen.errors import ToolchainError
 from pbcgen.run.doctor import diagnose
-from pbcgen.run.toolchain import Compiler, find_compiler, find_zig, library_suffix
+from pbcgen.run.toolchain import Compiler, find_compiler, library_suffix
 
 GOOD = "int twice(int x);\nint twice(int x) { return 2 * x; }\n"
 
@@ -56,14 +56,6 @@ def test_a_shared_library_is_built_and_named_for_the_system(tmp_path: Path) -> N
     library = find_compiler().compile_shared([write(tmp_path, GOOD)], tmp_path)
     assert library == tmp_path / f"libtwice{library_suffix()}"
     assert library.exists()
-
-
-@pytest.mark.slow
-def test_zig_builds_the_same_source(tmp_path: Path) -> None:
-    zig = find_zig()
-    if zig is None:
-        pytest.skip("ziglang is not installed")
-    assert zig.compile_shared([write(tmp_path, GOOD)], tmp_path).exists()
 
 
 @pytest.mark.parametrize(
