@@ -1,13 +1,20 @@
 """From a CasADi model of a physical system to a proved, saturated passivity-based controller in C."""
 
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from pbcgen.errors import EmitError, ModelError, NotProved, PbcgenError, ToolchainError, UnsupportedOperation
-from pbcgen.models.affine import AffineSystem
-from pbcgen.models.circuit import Circuit
-from pbcgen.models.design import Design
-from pbcgen.models.laws import DynamicExtension, Integral, NaturalDamping, PassiveOutput, PotentialCompensation
-from pbcgen.models.limits import Limits
-from pbcgen.models.mechanical import Mechanical
-from pbcgen.models.parameters import Parameters
+
+if TYPE_CHECKING:
+    from pbcgen.models.affine import AffineSystem
+    from pbcgen.models.circuit import Circuit
+    from pbcgen.models.design import Design
+    from pbcgen.models.laws import DynamicExtension, Integral, NaturalDamping, PassiveOutput, PotentialCompensation
+    from pbcgen.models.limits import Limits
+    from pbcgen.models.mechanical import Mechanical
+    from pbcgen.models.parameters import Parameters
 
 __version__ = "0.1.0"
 
@@ -31,3 +38,26 @@ __all__ = [
     "UnsupportedOperation",
     "__version__",
 ]
+
+#: Imported on first use: CasADi takes longer to load than `pbcgen --help` should take.
+_HOMES = {
+    "AffineSystem": "pbcgen.models.affine",
+    "Circuit": "pbcgen.models.circuit",
+    "Design": "pbcgen.models.design",
+    "DynamicExtension": "pbcgen.models.laws",
+    "Integral": "pbcgen.models.laws",
+    "Limits": "pbcgen.models.limits",
+    "Mechanical": "pbcgen.models.mechanical",
+    "NaturalDamping": "pbcgen.models.laws",
+    "Parameters": "pbcgen.models.parameters",
+    "PassiveOutput": "pbcgen.models.laws",
+    "PotentialCompensation": "pbcgen.models.laws",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'pbcgen' has no attribute '{name}'")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value

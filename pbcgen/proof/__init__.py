@@ -1,0 +1,1 @@
+"""Verdicts and provers: definiteness, sign, spectrum. Nothing here knows of control or physics."""

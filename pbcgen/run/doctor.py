@@ -32,7 +32,6 @@ class Check:
 
 _REQUIRED_PACKAGES = (
     ("casadi", "models and simulation"),
-    ("sympy", "symbolic derivation"),
     ("numpy", "numeric work"),
     ("scipy", "numeric work"),
     ("python-flint", "certified arithmetic"),

@@ -1,0 +1,100 @@
+"""Where a command writes: its result to standard output, errors and progress to standard error."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from pbcgen.cli.outcome import Outcome
+
+#: Text is set no wider than this, for the sake of its readers.
+WIDEST = 100
+
+_PROGRESS_AFTER = 1.0
+
+
+def accept_any_text() -> None:
+    """Print a question mark for a character that the terminal's encoding lacks, rather than fail."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+
+
+def deliver(outcome: Outcome) -> None:
+    """Print a result. A reader that closes the pipe early has read enough."""
+    try:
+        if outcome.document is None:
+            outcome.show(console())
+        else:
+            print_document(outcome.document)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def print_document(document: Mapping[str, Any]) -> None:
+    """Print one JSON document to standard output."""
+    print(json.dumps(_plain(document), indent=2, allow_nan=False))
+
+
+def print_error(message: str) -> None:
+    """Print the message of an error to standard error."""
+    target = console(stderr=True)
+    target.print("Error:", style="bold red", end=" ")
+    target.print(message, soft_wrap=True)
+
+
+def console(*, stderr: bool = False) -> Console:
+    """A console that takes text as it is: no markup, no highlighting, no escape sequences in a pipe."""
+    from rich.console import Console
+
+    made = Console(stderr=stderr, markup=False, highlight=False, emoji=False)
+    made.width = min(made.width, WIDEST)
+    return made
+
+
+@contextlib.contextmanager
+def progress(stage: str) -> Iterator[Callable[[str], None]]:
+    """A spinner with the name of the stage, on a terminal and after the first second.
+
+    Yields a function that changes the name.
+    """
+    target = console(stderr=True)
+    if not target.is_terminal:
+        yield lambda stage: None
+        return
+    status = target.status(f"{stage} ...")
+    delay = threading.Timer(_PROGRESS_AFTER, status.start)
+    delay.daemon = True
+    delay.start()
+    try:
+        yield lambda stage: status.update(f"{stage} ...")
+    finally:
+        delay.cancel()
+        delay.join()
+        status.stop()
+
+
+def _plain(value: Any) -> Any:
+    """The value with types that JSON knows: fractions as exact text, numbers that are not finite as null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):  # NumPy
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, Fraction):
+        return str(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,133 @@
+"""The report of a check on a terminal: verdicts, derived quantities, what they mean and what to do next."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+from rich.text import Text
+
+from pbcgen.proof.claim import Claim, Status
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from pbcgen.pipeline import Report
+
+_STYLES = {Status.PROVED: "green", Status.REFUTED: "bold red", Status.UNDECIDED: "bold yellow"}
+
+#: Room for the longest claim; the domain stands behind it.
+_CLAIM_WIDTH = 30
+
+#: The derived quantities that are single numbers or lists: key of the JSON document, what it is called here.
+_QUANTITIES = (
+    ("kappa", "kappa"),
+    ("gamma", "gamma"),
+    ("gamma_star", "gamma at x*"),
+    ("eta", "eta"),
+    ("hessian_min_eigenvalue", "smallest eigenvalue of the Hessian"),
+    ("alpha_beta_min", "alpha beta must exceed"),
+    ("kc_min", "K_c must exceed"),
+    ("theta_bound", "bound of Theta"),
+    ("spectral_abscissa", "spectral abscissa [1/s]"),
+    ("max_sample_period", "largest sample period [s]"),
+)
+
+
+def show_report(console: Console, report: Report, model: str) -> None:
+    """Print the report; ``model`` is how the user called it."""
+    console.print(f"{report.design.name}: law {report.design.law.name}, h = {_seconds(report)}", style="bold")
+    console.print()
+    console.print(verdict_table(report.claims))
+    console.print()
+    console.print(derived_table(report))
+    console.print()
+    console.print(meaning(report), style="bold green" if report.emittable else "bold red")
+    for line in next_steps(report, shlex.quote(model)):
+        console.print(line, soft_wrap=True)
+
+
+def verdict_table(claims: Iterable[Claim]) -> Table:
+    """One row for each claim: its verdict, then name and domain with method, evidence and hint below."""
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold", expand=False)
+    table.add_column("verdict", no_wrap=True)
+    table.add_column(f"{'claim':{_CLAIM_WIDTH}}  where it holds, and why")
+    for claim in claims:
+        table.add_row(Text(str(claim.status), _STYLES[claim.status]), _description(claim))
+    return table
+
+
+def _description(claim: Claim) -> Text:
+    text = Text()
+    text.append(f"{claim.claim:{_CLAIM_WIDTH}}", "bold")
+    text.append(f"  {claim.domain}\n")
+    text.append(": ".join(part for part in (claim.method, claim.evidence) if part), "dim")
+    if claim.status is not Status.PROVED and claim.hint:
+        text.append(f"\nhint: {claim.hint}", "yellow")
+    return text
+
+
+def derived_table(report: Report) -> Table:
+    """What was derived: the equilibrium, the functions of the law, the bounds on its gains."""
+    table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
+    table.add_column(style="bold")
+    table.add_column()
+    for name, value in _derived(report):
+        table.add_row(name, value)
+    return table
+
+
+def _derived(report: Report) -> Iterator[tuple[str, str]]:
+    derived = report.derived
+    x_star = derived.get("x_star") or ()
+    if x_star:
+        yield "x*", _named(report.design.system.state_names, x_star)
+    for key, name in _QUANTITIES:
+        if derived.get(key) not in (None, [], ()):
+            yield name, _figure(derived[key])
+    for name, interval in zip(report.design.system.input_names, derived.get("input_intervals") or (), strict=False):
+        yield f"{name} is always in", f"[{_figure(interval)}]"
+
+
+def _named(names: Sequence[str], values: Sequence[Any]) -> str:
+    return ", ".join(f"{name} = {_figure(value)}" for name, value in zip(names, values, strict=True))
+
+
+def _figure(value: Any) -> str:
+    """A number in six digits, a formula as it is, a list with commas."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key}: {_figure(item)}" for key, item in value.items())
+    if isinstance(value, (list, tuple)):
+        return ", ".join(f"[{_figure(item)}]" if isinstance(item, (list, tuple)) else _figure(item) for item in value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def meaning(report: Report) -> str:
+    """The verdicts in one sentence."""
+    if report.emittable:
+        everywhere = any(
+            c.claim == "globally-asymptotically-stable" and c.status is Status.PROVED for c in report.claims
+        )
+        where = "from everywhere" if everywhere else "from near x*"
+        return f"Proved: the loop settles at x* {where}, also sampled, and every input keeps its limits."
+    blocking = report.blocking()
+    if not blocking:
+        return "No code: the derivation stopped before it had a controller."
+    return f"No code: {' and '.join(f'{c.claim} is {c.status}' for c in blocking)}."
+
+
+def next_steps(report: Report, model: str) -> list[str]:
+    """The commands to go on with."""
+    if report.emittable:
+        return [f"Next: pbcgen generate {model} -o {report.design.name}_c"]
+    lines = [f"Next: change the model as the hint says, then pbcgen check {model}"]
+    if report.control is not None and report.blocking():
+        allowed = " ".join(f"--allow {c.claim}" for c in report.blocking())
+        lines.append(f"      or, without the proof: pbcgen generate {model} -o {report.design.name}_c {allowed}")
+    return lines
+
+
+def _seconds(report: Report) -> str:
+    return f"{float(report.design.sample_period):g} s, {report.design.precision}"
