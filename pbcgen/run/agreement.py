@@ -8,7 +8,8 @@ difference, to first order, through the law:
 1. Every library function gets a relative error of at most LIBRARY_ULP; every operation that depends on one may in
    consequence round differently and gets one of ARITHMETIC_ULP.
 2. The loop equation ``F = s + N t - c = 0``, t = tanh(s), turns an error r of F, the rounding of F included, into
-   ``ds = (I + N T)^-1 r`` with T = diag(1 - t t), and ``dt = T ds + LIBRARY_ULP t``.
+   ``ds = (I + N T)^-1 r`` with T = diag(1 - t t), and ``dt = T ds + LIBRARY_ULP t``. Channels that are solved together
+   share the rounding of the largest of them.
 3. The errors of t and of the update's own operations add up in xi and u, weighted by the partial derivatives.
 
 The sums are of absolute values. A real fault is not hidden: where the law is well conditioned the allowance is a few
@@ -24,7 +25,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from pbcgen.control.law import ControlLaw, ScalarSolve
+from pbcgen.control.law import ControlLaw, ScalarSolve, VectorSolve
 from pbcgen.control.rounding import DTYPES
 from pbcgen.control.step import NumpyAlgebra, solve_block, solve_scalar
 
@@ -58,10 +59,10 @@ class Allowance:
             ca.SX.sym(name, size)
             for name, size in (("m", len(law.inputs)), ("xi", len(law.states)), ("t", law.channels))
         )
-        loop = _Inexact()
+        loop = _Inexact(self._epsilon)
         c, N = loop.walk(law.prepare, [(m, False), (xi, False)])
         self._residual = ca.Function("residual", [m, xi, t], [loop.spread(c - N @ t)])
-        update = _Inexact()
+        update = _Inexact(self._epsilon)
         result = ca.vertcat(*update.walk(law.update, [(m, False), (xi, False), (t, True)]))
         partial = ca.densify(ca.fabs(update.exact(ca.jacobian(result, t))))
         self._update = ca.Function("update", [m, xi, t], [update.spread(result), partial])
@@ -79,16 +80,25 @@ class Allowance:
         m, before = measurement.astype(self._dtype), xi.astype(self._dtype)
         with np.errstate(all="ignore"):
             c, N, t = self._solve(m, before)
-            carried = np.einsum("kij,kj->ki", np.abs(N), np.abs(t))
+            carried = self._epsilon * np.einsum("kij,kj->ki", np.abs(N), np.abs(t))
+            terms = 2 * (self._epsilon * np.abs(c) + carried)
             own = _mapped(self._residual, m, before, t)[0].reshape(c.shape)
-            r = own + LIBRARY_ULP * carried + _RESIDUAL_ULP * 2 * (np.abs(c) + carried)
+            r = own + LIBRARY_ULP * carried + _RESIDUAL_ULP * self._largest_of_block(terms)
             slope = 1 - t * t
             gain = np.abs(_inverse(np.eye(c.shape[1]) + N * slope[:, None, :]))
-            dt = slope * np.einsum("kij,kj->ki", gain, r) + LIBRARY_ULP * np.abs(t)
+            dt = slope * np.einsum("kij,kj->ki", gain, r) + LIBRARY_ULP * self._epsilon * np.abs(t)
             own, partial = _mapped(self._update, m, before, t)
-            own = own[:, :, 0]
-            bounds = self._epsilon * (own + np.einsum("kij,kj->ki", partial, dt))
+            bounds = own[:, :, 0] + np.einsum("kij,kj->ki", partial, dt)
         return bounds[:, : len(self._law.states)], bounds[:, len(self._law.states) :]
+
+    def _largest_of_block(self, terms: Array) -> Array:
+        """The terms (N, ns), the largest of its block for channels that are solved together."""
+        result = terms.copy()
+        for solve in self._law.solves:
+            if isinstance(solve, VectorSolve):
+                rows = np.array(solve.indices)
+                result[:, rows] = terms[:, rows].max(axis=1, keepdims=True)
+        return result
 
     def _solve(self, m: NDArray[Any], xi: NDArray[Any]) -> tuple[Array, Array, Array]:
         """Return c (N, ns), N (N, ns, ns) and t (N, ns) as the reference step finds them, in double."""
@@ -142,9 +152,10 @@ class _Value:
 class _Inexact:
     """Tape algebra over SX in which every result that may be rounded differently carries a factor (1 + delta)."""
 
-    def __init__(self) -> None:
+    def __init__(self, epsilon: float) -> None:
+        self._epsilon = epsilon
         self._deltas: list[ca.SX] = []
-        self._ulps: list[float] = []
+        self._sizes: list[float] = []
 
     def walk(self, tape: Tape, inputs: Sequence[tuple[ca.SX, bool]]) -> list[ca.SX]:
         """The outputs for symbols as inputs, each marked as inexact or not."""
@@ -165,11 +176,11 @@ class _Inexact:
         return ca.substitute(expression, deltas, ca.SX.zeros(deltas.shape))
 
     def spread(self, vector: ca.SX) -> ca.SX:
-        """The sum of the effects of all roundings on each entry, in units of the machine epsilon."""
+        """The sum of the effects of all roundings on each entry."""
         if not self._deltas:
             return ca.SX.zeros(vector.numel())
         partial = self.exact(ca.jacobian(vector, ca.vertcat(*self._deltas)))
-        return ca.densify(ca.fabs(partial) @ ca.DM(self._ulps))
+        return ca.densify(ca.fabs(partial) @ ca.DM(self._sizes))
 
     def const(self, value: Fraction) -> _Value:
         """A literal: both implementations round it to the same number."""
@@ -190,7 +201,7 @@ class _Inexact:
             return _Value(expression, inexact)
         delta = ca.SX.sym("delta")
         self._deltas.append(delta)
-        self._ulps.append(LIBRARY_ULP if library else ARITHMETIC_ULP)
+        self._sizes.append(self._epsilon * (LIBRARY_ULP if library else ARITHMETIC_ULP))
         return _Value(expression * (1 + delta), inexact=True)
 
 

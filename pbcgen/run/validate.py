@@ -266,9 +266,9 @@ def compare(
     allowed = np.hstack([u_allowed, xi_allowed, u_allowed[:, :held]])
     halves = np.array([float(hi - lo) / 2 for lo, hi in law.intervals])
     scale = np.concatenate([halves, np.abs(run.xi).max(axis=0), halves[:held]])
-    unit = float(np.finfo(step.dtype).eps) * np.maximum(np.abs(python.values.astype(float)), scale)
+    unit = np.maximum(np.abs(python.values.astype(float)), scale) * float(np.finfo(step.dtype).eps)
     error = _difference(c.values, python.values)
-    ulp, share = _quotient(error, unit), _quotient(error, _allowed(allowed, unit))
+    ulp, share = _quotient(error, unit), _quotient(error, _allowed(allowed, python.values))
     share[~compared] = 0.0
     mismatches = int(np.sum(c.status != python.status))
     width = len(law.outputs)
@@ -461,9 +461,15 @@ def _difference(a: Array, b: Array) -> Array:
     return np.where(same, 0.0, np.where(np.isnan(error), np.inf, error))
 
 
-def _allowed(bound: Array, unit: Array) -> Array:
-    """The bound and one rounding of the result; where there is no bound, a few units in the last place."""
-    return np.where(np.isfinite(bound), bound + unit, 8 * unit)
+def _allowed(bound: Array, value: Array) -> Array:
+    """The bound with the rounding of the result; where there is no bound, a few units in the last place.
+
+    The smallest normal number is added: below it an ulp is no longer proportional to the value.
+    """
+    limits = np.finfo(value.dtype)
+    rounding = np.abs(value.astype(float)) * float(limits.eps) + float(limits.tiny)
+    allowed: Array = np.where(np.isfinite(bound), bound + rounding, 8 * rounding)
+    return allowed
 
 
 def _quotient(error: Array, unit: Array) -> Array:
