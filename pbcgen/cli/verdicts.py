@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 from rich.text import Text
 
+from pbcgen.models.exact import decimal
 from pbcgen.proof.claim import Claim, Status
 
 if TYPE_CHECKING:
@@ -101,6 +103,8 @@ def _figure(value: Any) -> str:
         return ", ".join(f"{key}: {_figure(item)}" for key, item in value.items())
     if isinstance(value, (list, tuple)):
         return ", ".join(f"[{_figure(item)}]" if isinstance(item, (list, tuple)) else _figure(item) for item in value)
+    if isinstance(value, Fraction):
+        return decimal(value)
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 

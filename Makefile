@@ -1,0 +1,62 @@
+# Everything runs in .venv, made from Python 3.11 or newer. No C compiler is needed: one comes with the Python package
+# ziglang.
+
+PYTHON ?= python3
+BIN := .venv/bin
+PBCGEN := $(BIN)/pbcgen
+
+SYSTEMS := coupling_device rlc pera pera_integral elastic_pendulum
+REFERENCE := coupling_device rlc pera
+
+.DEFAULT_GOAL := help
+.PHONY: help env demo test lint format generated clean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+env: .venv/installed ## install pbcgen and its tools into .venv
+
+# The stamp is younger than pyproject.toml when all that it asks for is installed.
+.venv/installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo 'pbcgen needs Python 3.11 or newer: make env PYTHON=python3.11'; exit 1; }
+	@echo 'Installing pbcgen and its tools into .venv ...'
+	@$(PYTHON) -m venv .venv
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+demo: $(SYSTEMS:%=demo-%) ## check, generate, validate and draw five systems
+	@printf '\n%s\n' 'Proved, generated, compiled and validated:'
+	@for system in $(SYSTEMS); do printf '  %-17s C in demo/%s/, picture demo/%s.png\n' $$system $$system $$system; done
+
+demo-%: env
+	@printf '\n======== %s ========\n\n' $*
+	@mkdir -p demo
+	@$(PBCGEN) check $*
+	@echo
+	@$(PBCGEN) generate $* -o demo/$*
+	@echo
+	@$(PBCGEN) validate $*
+	@echo
+	@$(PBCGEN) simulate $* --plot demo/$*.png
+
+test: lint ## lint, types and tests
+	$(BIN)/python -m pytest -n 2
+
+lint: env ## style and types
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+format: env ## rewrite the sources in the project's style
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+generated: $(REFERENCE:%=generated-%) ## write the reference packages in generated/ again
+
+generated-%: env
+	@$(PBCGEN) generate $* -o generated/$*
+
+clean: ## remove everything that make wrote, .venv too
+	rm -rf .venv demo build dist .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
