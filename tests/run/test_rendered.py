@@ -175,3 +175,19 @@ def test_scalar_solves_may_stand_in_any_order() -> None:
     )
     validation = validate(law, rendered(law), oscillator.loop(), lambda h: law, samples=400, steps=10)
     assert validation.agreement.passed
+
+
+def test_a_law_without_a_state_validates() -> None:
+    x, q, t, none = ca.SX.sym("x", 2), ca.SX.sym("q"), ca.SX.sym("t"), ca.SX.sym("none", 0)
+    law = replace(
+        oscillator.law("float"),
+        states=(),
+        prepare=Tape.of([q, none], [oscillator.BETA * q, ca.SX(0)]),
+        update=Tape.of([q, none, t], [ca.SX(0, 1), -oscillator.ALPHA * t]),
+    )
+    feedback = ca.Function("controller", [x, none], [ca.SX(0, 1), -oscillator.ALPHA * ca.tanh(oscillator.BETA * x[0])])
+    loop = replace(oscillator.loop(), controller=feedback, controller_states=())
+    double = replace(law, precision="double")
+    validation = validate(law, rendered(law), loop, lambda h: replace(double, sample_period=h), samples=2000, steps=200)
+    assert validation.passed, validation
+    assert validation.agreement.xi_ulp == 0.0
