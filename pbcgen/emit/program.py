@@ -170,7 +170,7 @@ def program_of(law: ControlLaw, prefix: str) -> Program:
     functions = _SolverFunctions.of(law, prefix)
     return Program(
         prefix=prefix,
-        constants=_constants(law.precision),
+        constants=constants_of(law.precision),
         sample_period=literal(nearest(law.sample_period, law.precision, "the sample period")),
         inputs=members.inputs,
         outputs=members.outputs,
@@ -204,7 +204,9 @@ class _Members:
         ]
 
 
-def _constants(precision: Precision) -> Constants:
+def constants_of(precision: Precision) -> Constants:
+    """The notation of ``precision``."""
+
     def real(text: str) -> str:
         return literal(nearest(Fraction(text), precision))
 
