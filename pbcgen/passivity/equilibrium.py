@@ -10,30 +10,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
 
 import casadi as ca
 import numpy as np
-from flint import arb, fmpq
+from flint import fmpq
 from numpy.typing import NDArray
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Condition, Design
-from pbcgen.passivity.plant import BITS, Plant, Point
+from pbcgen.passivity.plant import Plant, Point
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
 from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, determined, reduce_rows
-from pbcgen.symbolic.tape import exact_decimal
 from pbcgen.symbolic.real import (
+    BITS,
     Real,
     approximate,
-    ball,
     fraction,
-    is_finite,
     lower,
-    midpoint,
     precision,
     radius,
     rational,
@@ -41,6 +37,7 @@ from pbcgen.symbolic.real import (
     text,
     upper,
 )
+from pbcgen.symbolic.tape import exact_decimal
 
 
 @dataclass(frozen=True)
@@ -514,5 +511,3 @@ def input_rank(plant: Plant, point: Point) -> Claim:
         "remove an input that others duplicate, or choose a target where the inputs are independent",
         counterexample,
     )
-
-

@@ -16,8 +16,8 @@ from itertools import product
 from flint import fmpq, fmpq_mpoly
 
 from pbcgen.symbolic.field import Field, Quotient
-from pbcgen.symbolic.real import fraction
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
+from pbcgen.symbolic.real import fraction
 
 #: Systems with more unknown coefficients than this are not searched for state-dependent factors.
 _MOST_UNKNOWNS = 700
@@ -57,8 +57,7 @@ class Coefficients:
             rest = tuple(e if k in self.parameters else 0 for k, e in enumerate(exponents))
             groups.setdefault(state, {})[rest] = coefficient
         return {
-            state: self.field.quotient(self._polynomial(terms), function.denominator)
-            for state, terms in groups.items()
+            state: self.field.quotient(self._polynomial(terms), function.denominator) for state, terms in groups.items()
         }
 
     def _polynomial(self, terms: dict[Monomial, fmpq]) -> fmpq_mpoly:
@@ -192,7 +191,9 @@ def _least_symmetric(
         substituted = [_substitute(form, choice) for form in aim]
         settled = _least_squares([form for form in substituted if set(form) - {CONSTANT}])
         choice = {key: _substitute(form, settled) for key, form in choice.items()} | settled
-    return {entry: field.const(fraction(_substitute(form, choice).get(CONSTANT, fmpq(0)))) for entry, form in forms.items()}
+    return {
+        entry: field.const(fraction(_substitute(form, choice).get(CONSTANT, fmpq(0)))) for entry, form in forms.items()
+    }
 
 
 def _number(value: Quotient) -> fmpq:

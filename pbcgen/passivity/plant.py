@@ -11,11 +11,8 @@ import casadi as ca
 
 from pbcgen.models.affine import AffineSystem
 from pbcgen.symbolic.field import Field, Quotient, evaluate
-from pbcgen.symbolic.real import REAL, ZERO, Real, precision, reals
+from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, reals
 from pbcgen.symbolic.tape import Matrix, Tape
-
-#: Bits of the enclosures at x*: about 100 decimal digits.
-BITS = 333
 
 
 @dataclass(frozen=True)

@@ -139,9 +139,7 @@ def prove(plant: Plant, structure: PowerStructure) -> StructureProof:
         (left[i] - dot(rows[i], right, zero) + (rho[i] if structure.form == "F" else zero)).is_zero()
         for i in range(len(left))
     )
-    return StructureProof(
-        identity, semidefinite(dissipation.dense(zero)), nonnegative(dot(rho, gradient, zero))
-    )
+    return StructureProof(identity, semidefinite(dissipation.dense(zero)), nonnegative(dot(rho, gradient, zero)))
 
 
 def power_structure(plant: Plant) -> tuple[PowerStructure, StructureProof] | None:

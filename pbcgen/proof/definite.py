@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
-from flint import arb_mat, ctx, fmpq
+from flint import arb_mat, fmpq
 
 from pbcgen.proof.claim import Status
-from pbcgen.symbolic.real import ONE, ZERO, Real, approximate, ball, midpoint, rational, sign
+from pbcgen.symbolic.real import ONE, ZERO, Real, approximate, ball, in_high_precision, midpoint, rational, sign
 
 RealMatrix = list[list[Real]]
 
@@ -81,6 +81,7 @@ def _direction(multipliers: RealMatrix, stop: int) -> tuple[Fraction, ...]:
     return tuple(midpoint(entry) for entry in v)
 
 
+@in_high_precision
 def positive_definite(matrix: RealMatrix) -> Definiteness:
     """Whether the symmetric matrix is positive definite. Singular matrices are REFUTED: semidefinite is not definite."""
     pivots, multipliers, stop = _unit_lower(matrix)
@@ -94,6 +95,7 @@ def positive_definite(matrix: RealMatrix) -> Definiteness:
     return Definiteness(Status.REFUTED if refuted else Status.UNDECIDED, tuple(pivots), witness, value)
 
 
+@in_high_precision
 def positive_semidefinite(matrix: RealMatrix) -> Definiteness:
     """Whether the symmetric matrix is positive semidefinite; touching zero counts when it is exact.
 
@@ -153,6 +155,7 @@ def _all_pivots_vanish(
     return Definiteness(Status.PROVED, tuple(pivots))
 
 
+@in_high_precision
 def eigenvalues(matrix: RealMatrix) -> list[float]:
     """Eigenvalues of a symmetric matrix in ascending order, for display (computed with the working precision)."""
     from flint import acb_mat
@@ -166,8 +169,3 @@ def eigenvalues(matrix: RealMatrix) -> list[float]:
 def as_balls(matrix: RealMatrix) -> arb_mat:
     """The matrix as balls of the current precision."""
     return arb_mat([[ball(entry) for entry in row] for row in matrix])
-
-
-def working_bits() -> int:
-    """The current precision of ball arithmetic in bits."""
-    return int(ctx.prec)

@@ -83,7 +83,9 @@ def _strict(field: Field, k: int) -> bool:
 
 def _trigonometric_forms(field: Field, polynomial: fmpq_mpoly) -> list[fmpq_mpoly]:
     """The polynomial written with cos^2 = 1 - sin^2 for every choice of angles (the field itself removes sin^2)."""
-    sines = {(str(a.argument.numerator), str(a.argument.denominator)): k for k, a in field.atoms.items() if a.kind == "sin"}
+    sines = {
+        (str(a.argument.numerator), str(a.argument.denominator)): k for k, a in field.atoms.items() if a.kind == "sin"
+    }
     pairs = []
     for k, atom in field.atoms.items():
         key = (str(atom.argument.numerator), str(atom.argument.denominator))
@@ -163,7 +165,9 @@ def _sum_of_squares(terms: dict[Exponents, fmpq]) -> bool:
     return positive_semidefinite(gram).status is Status.PROVED
 
 
-def _gram_place(exponents: Exponents, halves: Sequence[Exponents], position: dict[Exponents, int]) -> tuple[int, int] | None:
+def _gram_place(
+    exponents: Exponents, halves: Sequence[Exponents], position: dict[Exponents, int]
+) -> tuple[int, int] | None:
     """The entry of the Gram matrix for a monomial: the diagonal for a positive square, else the first fitting pair."""
     if all(x % 2 == 0 for x in exponents) and tuple(x // 2 for x in exponents) in position:
         i = position[tuple(x // 2 for x in exponents)]

@@ -14,7 +14,7 @@ from flint import acb, acb_mat, fmpq, fmpq_mat
 
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, as_balls
-from pbcgen.symbolic.real import ZERO, Real, ball, is_finite, midpoint, rational, sign
+from pbcgen.symbolic.real import ZERO, Real, ball, in_high_precision, is_finite, midpoint, rational, sign
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,7 @@ def routh_column(coefficients: Sequence[Real]) -> list[Real] | None:
     return column
 
 
+@in_high_precision
 def approximate_eigenvalues(matrix: RealMatrix) -> list[complex]:
     """Eigenvalues for display, computed with the working precision and rounded."""
     if not matrix:
@@ -82,6 +83,7 @@ def _decide(matrix: RealMatrix, coefficients: list[Real], extreme: float, beyond
     return Stability(Status.REFUTED if beyond else Status.UNDECIDED, extreme, ())
 
 
+@in_high_precision
 def hurwitz(matrix: RealMatrix) -> Stability:
     """Whether every eigenvalue has a negative real part; REFUTED when one is certainly positive."""
     if not all(is_finite(entry) for row in matrix for entry in row):
@@ -90,6 +92,7 @@ def hurwitz(matrix: RealMatrix) -> Stability:
     return _decide(matrix, characteristic_polynomial(matrix), extreme, _certified(matrix, lambda z: z.real > 0))
 
 
+@in_high_precision
 def schur(matrix: RealMatrix) -> Stability:
     """Whether every eigenvalue has modulus below one; REFUTED when one is certainly above.
 

@@ -80,8 +80,9 @@ class _Printer:
             return top
         top = f"({top})" if " " in top and not top.startswith("(") else top
         bottom = self._factored(denominator)
-        simple = not any(sign in bottom for sign in "*/ ") or (bottom.startswith("(") and bottom.count("(") == 1
-                                                              and bottom.endswith(")"))
+        simple = not any(sign in bottom for sign in "*/ ") or (
+            bottom.startswith("(") and bottom.count("(") == 1 and bottom.endswith(")")
+        )
         return f"{top}/{bottom}" if simple else f"{top}/({bottom})"
 
     def _factored(self, polynomial: fmpq_mpoly) -> str:

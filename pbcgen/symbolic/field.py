@@ -80,8 +80,11 @@ class Quotient:
     def constant(self) -> fmpq | None:
         """The value when the function is a rational number, else None."""
         if self.numerator.is_constant() and self.denominator.is_constant():
-            return self.numerator.leading_coefficient() / self.denominator.leading_coefficient() \
-                if not self.numerator.is_zero() else fmpq(0)
+            return (
+                self.numerator.leading_coefficient() / self.denominator.leading_coefficient()
+                if not self.numerator.is_zero()
+                else fmpq(0)
+            )
         return None
 
     def is_polynomial(self) -> bool:
@@ -91,7 +94,7 @@ class Quotient:
     def generators(self) -> set[int]:
         """The positions of the indeterminates that occur directly."""
         degrees = [self.numerator.degrees(), self.denominator.degrees()]
-        return {k for row in degrees for k, degree in enumerate(row) if degree}
+        return {k for row in degrees for k, degree in enumerate(row) if degree > 0}
 
     def symbols(self) -> set[int]:
         """The positions of the symbols that occur, directly or inside an atom."""

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
+from functools import wraps
+from typing import ParamSpec, TypeVar
 
 from flint import arb, ctx, fmpq, fmpz
 
@@ -17,6 +19,12 @@ Real = fmpq | arb
 
 ZERO = fmpq(0)
 ONE = fmpq(1)
+
+#: Bits of the enclosures at x*: about 100 decimal digits.
+BITS = 333
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 @contextmanager
@@ -28,6 +36,17 @@ def precision(bits: int) -> Iterator[None]:
         yield
     finally:
         ctx.prec = before
+
+
+def in_high_precision(function: Callable[P, T]) -> Callable[P, T]:
+    """Let a function work with balls of at least BITS bits, whatever the caller's precision."""
+
+    @wraps(function)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> T:
+        with precision(max(ctx.prec, BITS)):
+            return function(*args, **kwargs)
+
+    return wrapped
 
 
 def rational(value: Fraction | int) -> fmpq:

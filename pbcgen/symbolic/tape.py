@@ -172,9 +172,7 @@ class Tape:
         """The tape of an SX function. Raises UnsupportedOperation for an instruction that is not scalar SX."""
         if not function.is_a("SXFunction"):
             raise UnsupportedOperation(f"`{function.name()}` is not an SX function: build it from SX expressions")
-        positions = [
-            list(zip(*function.sparsity_out(k).get_triplet(), strict=True)) for k in range(function.n_out())
-        ]
+        positions = [list(zip(*function.sparsity_out(k).get_triplet(), strict=True)) for k in range(function.n_out())]
         entries: list[dict[tuple[int, int], int]] = [{} for _ in positions]
         register: dict[int, int] = {}
         instructions: list[Instruction] = []
@@ -199,9 +197,7 @@ class Tape:
         return Tape(
             tuple(instructions),
             tuple(function.nnz_in(k) for k in range(function.n_in())),
-            tuple(
-                Matrix((function.size1_out(k), function.size2_out(k)), entries[k]) for k in range(function.n_out())
-            ),
+            tuple(Matrix((function.size1_out(k), function.size2_out(k)), entries[k]) for k in range(function.n_out())),
         )
 
     def walk(self, algebra: Algebra[T], inputs: Sequence[Sequence[T]]) -> list[Matrix[T]]:

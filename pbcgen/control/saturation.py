@@ -1,0 +1,226 @@
+"""The interval of each input, and whether it respects the actuators (interval), (intervaly)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import casadi as ca
+
+from pbcgen.errors import UnsupportedOperation
+from pbcgen.models.design import Design
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.passivity.plant import Plant, Point
+from pbcgen.proof.claim import Claim, Status
+from pbcgen.proof.extrema import Box, maximum, term_bounds
+from pbcgen.symbolic.real import BITS, Real, midpoint, precision, rational, sign, text
+
+#: Slightly more than pi: a box that covers a period of sine and cosine.
+_PI = Fraction(355, 113)
+
+
+@dataclass(frozen=True)
+class Range:
+    """Values of one input: the enclosure of its infimum and supremum over everything that can happen."""
+
+    lo: Real
+    hi: Real
+
+
+@dataclass(frozen=True)
+class Saturation:
+    """The claim `saturation` and the input ranges, None where an input is unbounded."""
+
+    claim: Claim
+    ranges: tuple[Range | None, ...]
+
+    def intervals(self, design: Design) -> tuple[tuple[Fraction, Fraction], ...] | None:
+        """Rational intervals for the emitted clamp, inside the actuator intervals; None if some input is unbounded."""
+        result = []
+        for found, (lo, hi) in zip(self.ranges, design.input_set.intervals, strict=True):
+            if found is None:
+                return None
+            low, high = midpoint(found.lo), midpoint(found.hi)
+            result.append((low if lo is None else max(low, lo), high if hi is None else min(high, hi)))
+        return tuple(result)
+
+
+def amplitudes(law: Law) -> tuple[Fraction, ...]:
+    """The sum of the amplitudes of the tanh terms of each input."""
+    if isinstance(law, Integral):
+        return tuple(a + b for a, b in zip(amplitudes(law.base), law.alpha_psi, strict=True))
+    if isinstance(law, PassiveOutput):
+        return tuple(a + b for a, b in zip(law.alpha, law.k_p, strict=True))
+    if isinstance(law, NaturalDamping):
+        return tuple(a + b for a, b in zip(law.alpha_c, law.alpha_l, strict=True))
+    return tuple(law.alpha)
+
+
+def saturation(plant: Plant, design: Design, law: Law, point: Point) -> Saturation:
+    """Bound every input and compare with the actuator limits."""
+    base = law.base if isinstance(law, Integral) else law
+    sizes = amplitudes(law)
+    with precision(BITS):
+        if isinstance(base, PotentialCompensation):
+            centres = _potential_ranges(plant)
+        else:
+            centres = [Range(u, u) for u in point.u]
+        ranges = tuple(
+            None if c is None else Range(c.lo - rational(a), c.hi + rational(a))
+            for c, a in zip(centres, sizes, strict=True)
+        )
+        return Saturation(_compare(plant, design, ranges, centres), ranges)
+
+
+def _potential_ranges(plant: Plant) -> list[Range | None]:
+    """The range of each entry of grad V over all positions in the domain."""
+    mechanics = plant.system.mechanical
+    if mechanics is None:
+        return [None] * plant.system.m
+    return [_range(plant, entry) for entry in ca.vertsplit(ca.gradient(mechanics.V, mechanics.q))]
+
+
+def _range(plant: Plant, entry: ca.SX) -> Range | None:
+    """Bounds of a function of the positions: by terms, and by branch and bound over a period or the domain."""
+    try:
+        field, (values,) = plant.exact(entry)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return None
+    value = values.scalar(field.const(0))
+    names = plant.system.state_names
+    domain = {k: plant.system.domain.get(name, (None, None)) for k, name in enumerate(names)}
+    bounds = term_bounds(value, domain)
+    used = sorted(value.symbols())
+    if len(value.numerator) <= 1 + (value.constant() is not None):
+        return None if bounds.lo is None or bounds.hi is None else Range(rational(bounds.lo), rational(bounds.hi))
+    box = _covering_box(plant, value.generators(), used, domain)
+    if box is None:
+        return None if bounds.lo is None or bounds.hi is None else Range(rational(bounds.lo), rational(bounds.hi))
+    highest = _best(plant, entry, used, box, bounds.hi)
+    lowest = _best(plant, -entry, used, box, None if bounds.lo is None else -bounds.lo)
+    if highest is None or lowest is None:
+        return None
+    return Range(rational(-lowest), rational(highest))
+
+
+def _covering_box(
+    plant: Plant, generators: set[int], used: Sequence[int], domain: dict[int, tuple[Fraction | None, Fraction | None]]
+) -> Box | None:
+    """A box that contains a representative of every value: the domain, or one period where only angles occur."""
+    intervals = []
+    for k in used:
+        lo, hi = domain[k]
+        if lo is not None and hi is not None:
+            intervals.append((lo, hi))
+        elif k not in generators:
+            intervals.append((-_PI, _PI))
+        else:
+            return None
+    return tuple(intervals)
+
+
+def _best(plant: Plant, entry: ca.SX, used: Sequence[int], box: Box, other: Fraction | None) -> Fraction | None:
+    """The smaller of two upper bounds."""
+    tape = plant.tape(entry)
+    zeros: list[Real] = [rational(0)] * plant.system.n
+
+    def function(values: Sequence[Real]) -> Real:
+        x = list(zeros)
+        for k, v in zip(used, values, strict=True):
+            x[k] = v
+        return plant.walk(tape, x, [rational(0)] * plant.system.m)[0][0][0]
+
+    _, bound = maximum(function, box)
+    found = [b for b in (bound, other) if b is not None]
+    return min(found) if found else None
+
+
+def _compare(plant: Plant, design: Design, ranges: Sequence[Range | None], centres: Sequence[Range | None]) -> Claim:
+    names = plant.system.input_names
+    for name, found in zip(names, ranges, strict=True):
+        if found is None:
+            return Claim(
+                "saturation",
+                Status.UNDECIDED,
+                "all inputs",
+                "bounds of grad V",
+                f"no bound of {name} was found: grad V is not bounded by its terms",
+                "give the positions a bounded domain, or use dynamic-extension",
+            )
+    known = [found for found in ranges if found is not None]
+    shown = ", ".join(f"{n} in [{text(r.lo, 9)}, {text(r.hi, 9)}]" for n, r in zip(names, known, strict=True))
+    problems = _interval_slacks(design, names, known) + _row_slacks(design, names, known)
+    worst = next((p for p in problems if p[1] == -1), None) or next((p for p in problems if p[1] is None), None)
+    if worst is None:
+        limits = "limits respected" if problems else "no limits given"
+        return Claim(
+            "saturation", Status.PROVED, "all inputs", "interval arithmetic over the rationals", f"{shown}; {limits}"
+        )
+    label, certain, excess = worst
+    status = Status.REFUTED if certain == -1 and _attained(centres) else Status.UNDECIDED
+    hint = _hint(design, centres, label, excess)
+    counterexample = {"limit": label, "excess": text(excess, 6)} if status is Status.REFUTED else None
+    return Claim(
+        "saturation",
+        status,
+        "all inputs",
+        "interval arithmetic over the rationals",
+        f"{shown}; {label} is exceeded by {text(excess, 6)}",
+        hint,
+        counterexample,
+    )
+
+
+def _attained(centres: Sequence[Range | None]) -> bool:
+    """Whether the ranges are approached: certain for a constant offset, not for a bound of grad V."""
+    return all(c is not None and sign(c.hi - c.lo) in (0, None) for c in centres)
+
+
+_Slack = tuple[str, int | None, Real]
+
+
+def _sign_of_slack(slack: Real) -> int | None:
+    certain = sign(slack)
+    return 1 if certain in (0, 1) else certain
+
+
+def _interval_slacks(design: Design, names: Sequence[str], ranges: Sequence[Range]) -> list[_Slack]:
+    """For each bound: its name, the sign of what is left (touching counts as left), and by how much it is exceeded."""
+    result: list[_Slack] = []
+    for name, found, (lo, hi) in zip(names, ranges, design.input_set.intervals, strict=True):
+        if hi is not None:
+            slack = rational(hi) - found.hi
+            result.append((f"{name} <= {text(rational(hi))}", _sign_of_slack(slack), -slack))
+        if lo is not None:
+            slack = found.lo - rational(lo)
+            result.append((f"{name} >= {text(rational(lo))}", _sign_of_slack(slack), -slack))
+    return result
+
+
+def _row_slacks(design: Design, names: Sequence[str], ranges: Sequence[Range]) -> list[_Slack]:
+    """Polyhedral limits: the largest ``A u`` over the box of input ranges against b."""
+    result: list[_Slack] = []
+    for row, bound in zip(design.input_set.A, design.input_set.b, strict=True):
+        largest: Real = rational(0)
+        for a, found in zip(row, ranges, strict=True):
+            if a != 0:
+                largest = largest + rational(a) * (found.hi if a > 0 else found.lo)
+        slack = rational(bound) - largest
+        terms = " + ".join(f"{text(rational(a))}*{n}" for a, n in zip(row, names, strict=True) if a)
+        result.append((f"{terms} <= {text(rational(bound))}", _sign_of_slack(slack), -slack))
+    return result
+
+
+def _hint(design: Design, centres: Sequence[Range | None], label: str, excess: Real) -> str:
+    for c, name, (lo, hi) in zip(centres, design.system.input_names, design.input_set.intervals, strict=True):
+        if c is None:
+            continue
+        too_high = hi is not None and sign(rational(hi) - c.hi) in (0, -1)
+        too_low = lo is not None and sign(c.lo - rational(lo)) in (0, -1)
+        if too_high or too_low:
+            return (
+                f"no alpha can help: the equilibrium input {name} = {text(c.hi if too_high else c.lo, 9)} is at or beyond "
+                f"its limit; choose another target or actuator"
+            )
+    return f"reduce the amplitudes alpha that enter {label.split(' ', maxsplit=1)[0]} by {text(excess, 6)} in total"

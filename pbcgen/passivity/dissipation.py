@@ -1,0 +1,316 @@
+"""Assumption 3, natural damping of coordinates eta, and the matrix Theta of Prop. pro4.
+
+With the power structure the dissipation is ``v^T B v + rho^T grad S``, and every signal sigma(x) has
+``sigma' = r v`` with the row r = grad sigma^T F (or grad sigma^T), provided rho does not act on it. For a constant
+part B0 <= B the inequality of Assumption 3, ``v^T B v >= |eta'|^2_{Lambda_l} + |y|^2_{Lambda_c}``, holds iff the rows lie
+in the range of B0 and ``diag(Lambda_l, Lambda_c)^{-1} >= W = C B0^+ C^T``, C being the rows of eta' and y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import casadi as ca
+from flint import fmpq
+
+from pbcgen.errors import UnsupportedOperation
+from pbcgen.models.laws import NaturalDamping
+from pbcgen.passivity.plant import Plant
+from pbcgen.passivity.shaping import congruence, diagonal, exact_matrix, multiply, transpose
+from pbcgen.passivity.structure import PowerStructure
+from pbcgen.proof.claim import Claim, Status
+from pbcgen.proof.definite import RealMatrix, eigenvalues, positive_semidefinite
+from pbcgen.proof.nonnegative import nonnegative
+from pbcgen.symbolic.field import Quotient
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, particular_solution, reduce_rows
+from pbcgen.symbolic.real import ZERO, Real, fraction, rational, text
+
+
+@dataclass(frozen=True, eq=False)
+class NaturalDampingBounds:
+    """What Assumption 3 gives.
+
+    Attributes:
+        eta: s x 1 expression, or None when no damped coordinate was found.
+        eta_names: how to call its entries.
+        Lambda_l, Lambda_c: the largest constant diagonals found, or None.
+        claim: the verdict `assumption-3`.
+    """
+
+    eta: ca.SX | None
+    eta_names: tuple[str, ...]
+    Lambda_l: tuple[Real, ...] | None
+    Lambda_c: tuple[Real, ...] | None
+    claim: Claim
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """The rows of signals over v as constants, with the constant part B0 of the dissipation."""
+
+    B0: RealMatrix
+    y: RealMatrix
+    signals: list[list[Real] | None]
+    complete: bool
+
+
+def assumption_3(
+    plant: Plant, structure: PowerStructure | None, gamma: ca.SX, matched: bool, storage_proved: bool
+) -> NaturalDampingBounds:
+    """Find naturally damped coordinates and the largest constants for them."""
+    candidates, names = _candidates(plant, gamma)
+    if structure is None or not matched or not storage_proved:
+        why = "it needs assumption-1 and gamma by the power structure"
+        return NaturalDampingBounds(_given(plant), (), None, None, _undecided(why))
+    rows = _constant_rows(plant, structure, gamma, candidates)
+    if rows is None:
+        return NaturalDampingBounds(_given(plant), (), None, None, _undecided("the dissipation has no constant part"))
+    y_solutions = [_range_solution(rows.B0, row) for row in rows.y]
+    if any(solution is None for solution in y_solutions):
+        k = next(k for k, s in enumerate(y_solutions) if s is None)
+        return NaturalDampingBounds(_given(plant), (), None, None, _undamped_output(plant, rows, k))
+    chosen = [
+        k
+        for k, row in enumerate(rows.signals)
+        if row is not None and any(v != 0 for v in row) and _range_solution(rows.B0, row) is not None
+    ]
+    if plant.system.eta is not None and len(chosen) < len(candidates):
+        return NaturalDampingBounds(
+            plant.system.eta, names, None, None, _undecided("the given eta is not damped by a constant")
+        )
+    limit = plant.system.n - plant.system.m
+    chosen = chosen[:limit]
+    if not chosen:
+        return NaturalDampingBounds(None, (), None, None, _undecided("no coordinate with constant natural damping"))
+    signal_rows = [rows.signals[k] or [] for k in chosen]
+    W = _compliance(rows.B0, [*signal_rows, *rows.y])
+    bounds = [_row_sum_inverse(row) for row in W]
+    s = len(chosen)
+    eta = ca.vertcat(*[candidates[k] for k in chosen])
+    eta_names = tuple(names[k] for k in chosen)
+    evidence = (
+        f"eta = ({', '.join(eta_names)}), Lambda_l = diag({', '.join(text(v, 6) for v in bounds[:s])}), "
+        f"Lambda_c = diag({', '.join(text(v, 6) for v in bounds[s:])})"
+    )
+    claim = Claim("assumption-3", Status.PROVED, "all x", "exact compliance of the dissipation", evidence)
+    return NaturalDampingBounds(eta, eta_names, tuple(bounds[:s]), tuple(bounds[s:]), claim)
+
+
+def _given(plant: Plant) -> ca.SX | None:
+    return plant.system.eta
+
+
+def _candidates(plant: Plant, gamma: ca.SX) -> tuple[list[ca.SX], list[str]]:
+    """The given eta, or coordinates that gamma does not depend on, measured ones first."""
+    system = plant.system
+    if system.eta is not None:
+        entries = ca.vertsplit(system.eta)
+        return entries, [str(e) for e in entries]
+    slope = ca.jacobian(gamma, system.x)
+    try:
+        field, (matrix,) = plant.exact(slope)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return [], []
+    dense = matrix.dense(field.const(0))
+    decoupled = [k for k in range(system.n) if all(row[k].is_zero() for row in dense)]
+    measured = [k for k in decoupled if system.state_names[k] in system.measured]
+    order = measured or decoupled
+    return [system.x[k] for k in order], [system.state_names[k] for k in order]
+
+
+def _constant_rows(plant: Plant, structure: PowerStructure, gamma: ca.SX, signals: Sequence[ca.SX]) -> _Rows | None:
+    system = plant.system
+    psi = ca.jacobian(gamma, system.x)
+    slopes = ca.jacobian(ca.vertcat(*signals), system.x) if signals else ca.SX(0, system.n)
+    stacked = ca.vertcat(psi, slopes)
+    rows = ca.mtimes(stacked, structure.matrix) if structure.form == "F" else stacked
+    overlap = ca.mtimes(psi, slopes.T) if signals else ca.SX(system.m, 0)
+    friction = ca.mtimes(slopes, structure.remainder) if signals else ca.SX(0, 1)
+    try:
+        field, (B, r, o, fr) = plant.exact(structure.dissipation(), rows, overlap, friction)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return None
+    zero = field.const(0)
+    split = _constant_part(B.dense(zero))
+    if split is None:
+        return None
+    B0, complete = split
+    values = [[entry.constant() for entry in row] for row in r.dense(zero)]
+    y = values[: system.m]
+    if any(entry is None for row in y for entry in row):
+        return None
+    found: list[list[Real] | None] = []
+    for k, row in enumerate(values[system.m :]):
+        usable = (
+            all(entry is not None for entry in row)
+            and fr.column(zero)[k].is_zero()
+            and all(line[k].is_zero() for line in o.dense(zero))
+        )
+        found.append([entry for entry in row if entry is not None] if usable else None)
+    return _Rows(B0, [[entry for entry in row if entry is not None] for row in y], found, complete)
+
+
+def _constant_part(B: list[list[Quotient]]) -> tuple[RealMatrix, bool] | None:
+    """A constant B0 with B - B0 diagonal and nonnegative, and whether B is B0."""
+    size = len(B)
+    result: RealMatrix = [[ZERO] * size for _ in range(size)]
+    complete = True
+    for i in range(size):
+        for j in range(size):
+            constant = B[i][j].constant()
+            if constant is not None:
+                result[i][j] = constant
+                continue
+            if i != j:
+                return None
+            complete = False
+            result[i][i] = _constant_below(B[i][i])
+    return result, complete
+
+
+def _constant_below(function: Quotient) -> Real:
+    """A constant that the nonnegative function never falls below: its constant term, if the rest is nonnegative."""
+    terms = {tuple(int(e) for e in raw): c for raw, c in function.numerator.to_dict().items()}
+    constant = terms.get(tuple(0 for _ in next(iter(terms))), fmpq(0))
+    if function.is_polynomial() and constant > 0:
+        rest = function - function.field.const(fraction(constant))
+        if nonnegative(rest):
+            return constant
+    return ZERO
+
+
+def _range_solution(B0: RealMatrix, row: Sequence[Real]) -> list[Real] | None:
+    """z with ``B0 z = row``, or None when the row is outside the range."""
+    equations = [{**dict(enumerate(line)), CONSTANT: -value} for line, value in zip(B0, row, strict=True)]
+    try:
+        solution = particular_solution(reduce_rows(equations), fmpq(0))
+    except Inconsistent:
+        return None
+    return [solution.get(k, fmpq(0)) for k in range(len(row))]
+
+
+def _compliance(B0: RealMatrix, rows: RealMatrix) -> RealMatrix:
+    """``W = C B0^+ C^T`` for rows C in the range of B0."""
+    solutions = [_range_solution(B0, row) or [] for row in rows]
+    return multiply(rows, transpose(solutions))
+
+
+def _row_sum_inverse(row: Sequence[Real]) -> Real:
+    """The diagonal entry that dominates a row of W: exact when W is diagonal."""
+    total: Real = ZERO
+    for entry in row:
+        total = total + abs(entry)
+    return fmpq(1) / total
+
+
+def _undecided(why: str) -> Claim:
+    return Claim(
+        "assumption-3",
+        Status.UNDECIDED,
+        "all x",
+        "exact compliance of the dissipation",
+        why,
+        "model the friction of the coordinate that shall be damped, and of the output port",
+    )
+
+
+def _undamped_output(plant: Plant, rows: _Rows, k: int) -> Claim:
+    name = plant.system.input_names[k]
+    if not rows.complete:
+        return _undecided(f"no constant Lambda_c > 0 was found for the output of {name}")
+    v = _kernel_direction(rows.B0, rows.y[k])
+    return Claim(
+        "assumption-3",
+        Status.REFUTED,
+        "all x",
+        "kernel of the dissipation, over the rationals",
+        f"the output of {name} is not damped: no Lambda_c > 0 exists",
+        "use dynamic-extension, or model the dissipation at the input port",
+        {"v": [text(c) for c in v], "v^T B v": "0", "y": text(dot_real(rows.y[k], v))},
+    )
+
+
+def dot_real(a: Sequence[Real], b: Sequence[Real]) -> Real:
+    """The sum of products."""
+    return multiply([list(a)], [[entry] for entry in b])[0][0]
+
+
+def _kernel_direction(B0: RealMatrix, row: Sequence[Real]) -> list[Real]:
+    """v with ``B0 v = 0`` and ``row v = 1``; exists when the row is outside the range of the symmetric B0."""
+    equations = [dict(enumerate(line)) for line in B0] + [{**dict(enumerate(row)), CONSTANT: fmpq(-1)}]
+    solution = particular_solution(reduce_rows(equations), fmpq(0))
+    return [solution.get(k, fmpq(0)) for k in range(len(row))]
+
+
+@dataclass(frozen=True)
+class ThetaVerdict:
+    """The claim `theta` and the bound ``(Upsilon Lambda_l^-1 Upsilon^T + Lambda_c^-1) / 4`` on K_l R_l."""
+
+    claim: Claim
+    bound: RealMatrix | None
+    smallest: float | None
+
+
+def theta(bounds: NaturalDampingBounds, law: NaturalDamping) -> ThetaVerdict:
+    """``Theta >= 0`` (Th), in the Loewner order; touching zero counts."""
+    if bounds.Lambda_l is None or bounds.Lambda_c is None or law.Upsilon is None:
+        claim = Claim(
+            "theta",
+            Status.UNDECIDED,
+            "all x",
+            "Schur complement over the rationals",
+            "needs assumption-3",
+            "satisfy assumption-3 first",
+        )
+        return ThetaVerdict(claim, None, None)
+    upsilon = exact_matrix(law.Upsilon)
+    compliance_l = diagonal([fmpq(1) / v for v in bounds.Lambda_l])
+    m = len(bounds.Lambda_c)
+    bound = congruence(upsilon, compliance_l)
+    bound = [[(bound[i][j] + (1 / bounds.Lambda_c[i] if i == j else ZERO)) / 4 for j in range(m)] for i in range(m)]
+    product = [law.K_l[i][i] * law.R_l[i][i] for i in range(m)]
+    difference = [[(rational(product[i]) if i == j else ZERO) - bound[i][j] for j in range(m)] for i in range(m)]
+    verdict = positive_semidefinite(difference)
+    smallest = eigenvalues(bound)[-1]
+    given = ", ".join(f"{float(p):.6g}" for p in product)
+    evidence = f"K_l R_l = {given}; sufficient and, for these Lambda, necessary: {smallest:.6g}"
+    if verdict.status is Status.PROVED:
+        claim = Claim("theta", Status.PROVED, "all x", "Schur complement over the rationals", evidence)
+    else:
+        claim = Claim(
+            "theta",
+            verdict.status,
+            "all x",
+            "Schur complement over the rationals",
+            evidence,
+            f"raise K_l R_l to {smallest:.6g}",
+            _theta_witness(upsilon, compliance_l, bounds.Lambda_c, law, verdict.witness or ()),
+        )
+    return ThetaVerdict(claim, bound, smallest)
+
+
+def _theta_witness(
+    upsilon: RealMatrix,
+    compliance_l: RealMatrix,
+    Lambda_c: Sequence[Real],
+    law: NaturalDamping,
+    witness: Sequence[Fraction],
+) -> dict[str, object]:
+    """(eta', y, x_l') with a negative Theta form: x_l' = R_l w, and eta', y that minimise the form."""
+    w = [rational(c) for c in witness]
+    column = [[c] for c in w]
+    eta_rate = [-row[0] / 2 for row in multiply(multiply(compliance_l, transpose(upsilon)), column)]
+    y = [c / (2 * Lambda_c[i]) for i, c in enumerate(w)]
+    x_l_rate = [rational(law.R_l[i][i]) * c for i, c in enumerate(w)]
+    coupling = dot_real(multiply([eta_rate], transpose(upsilon))[0], w) - dot_real(y, w)
+    value = coupling + dot_real([rational(law.K_l[i][i] * law.R_l[i][i]) * c for i, c in enumerate(w)], w)
+    value = value + dot_real([r / compliance_l[i][i] for i, r in enumerate(eta_rate)], eta_rate)
+    value = value + dot_real([r * Lambda_c[i] for i, r in enumerate(y)], y)
+    return {
+        "eta'": [text(v) for v in eta_rate],
+        "y": [text(v) for v in y],
+        "x_l'": [text(v) for v in x_l_rate],
+        "Theta form": text(value, 9),
+    }

@@ -1,0 +1,300 @@
+"""The passive output and gamma with ``gamma' = y`` (Assumptions 1 and 2).
+
+gamma gives a passive output for the storage S iff for all x (Hill-Moylan)
+
+    Z(x) = [[-grad S^T f, (grad gamma^T f - g^T grad S)^T / 2], [., sym(grad gamma^T g)]] >= 0.
+
+The strategies below propose gradients of gamma; an exact prover then decides Z >= 0 from scratch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import casadi as ca
+
+from pbcgen.errors import UnsupportedOperation
+from pbcgen.passivity.factor import Coefficients
+from pbcgen.passivity.integrate import Curl, curl, potential
+from pbcgen.passivity.plant import Plant, columns, dot
+from pbcgen.passivity.structure import PowerStructure
+from pbcgen.proof.claim import Claim, Status
+from pbcgen.proof.nonnegative import nonnegative, semidefinite
+from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows, solve_square
+
+
+@dataclass(frozen=True, eq=False)
+class PassiveOutput:
+    """gamma and where it comes from.
+
+    Attributes:
+        gamma: m x 1 expression of x and the parameters.
+        strategy: how it was found.
+        claim: the verdict `passive-output`.
+        matched: whether grad gamma is proved to be -F^-1 g (or -A g) for the power structure.
+    """
+
+    gamma: ca.SX
+    strategy: str
+    claim: Claim
+    matched: bool
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    strategy: str
+    gamma: ca.SX
+
+
+@dataclass(frozen=True)
+class _Obstacle:
+    strategy: str
+    output: int
+    curl: Curl
+
+
+def _gradients(plant: Plant, structure: PowerStructure | None) -> Iterator[tuple[str, ca.SX]]:
+    """Proposals for grad gamma (n x m) that follow from the power structure."""
+    if structure is None:
+        return
+    g = plant.system.g
+    if structure.form == "A":
+        yield "y = -g^T A^T x' with grad S = A f", -ca.mtimes(structure.matrix, g)
+        return
+    natural = _solve(plant, structure.matrix.T, g)
+    if natural is not None:
+        yield "natural output y = g^T grad S", natural
+    swapped = _solve(plant, structure.matrix, -g)
+    if swapped is not None:
+        yield "y = -g^T F^{-T} x' with f = F grad S", swapped
+
+
+def _solve(plant: Plant, matrix: ca.SX, right: ca.SX) -> ca.SX | None:
+    """``matrix^{-1} right`` with symbolic parameters (at their values if that fails), or None when singular."""
+    for symbolic in (True, False):
+        try:
+            field, (left_values, right_values) = plant.exact(matrix, right, symbolic=symbolic)
+        except (UnsupportedOperation, ZeroDivisionError):
+            return None
+        zero = field.const(0)
+        solutions = [solve_square(left_values.dense(zero), column, zero) for column in columns(right_values, zero)]
+        if all(solution is not None for solution in solutions):
+            symbols = [s for column in plant.symbols for s in ca.vertsplit(column)]
+            sx = [ca.vertcat(*[field.to_sx(v, symbols) for v in s]) for s in solutions if s is not None]
+            return ca.sparsify(ca.horzcat(*sx))
+    return None
+
+
+def _candidates(plant: Plant, structure: PowerStructure | None) -> Iterator[_Candidate | _Obstacle]:
+    system = plant.system
+    if system.gamma is not None:
+        yield _Candidate("given with the model", system.gamma)
+        return
+    mechanics, circuit = system.mechanical, system.circuit
+    if mechanics is not None and not ca.depends_on(mechanics.G, system.x):
+        yield _Candidate("natural output y = G^T q'", ca.mtimes(mechanics.G.T, mechanics.q))
+    if circuit is not None:
+        gamma = -ca.mtimes(circuit.g_tilde.T, ca.mtimes(circuit.Xi, circuit.P_gradient))
+        yield _Candidate("Brayton-Moser, y = -g^T Qtilde^T x'", gamma)
+    for strategy, psi in _gradients(plant, structure):
+        yield from _integrated(plant, strategy, psi)
+    yield from _ansatz(plant)
+
+
+def _integrated(plant: Plant, strategy: str, psi: ca.SX) -> Iterator[_Candidate | _Obstacle]:
+    """gamma from its gradient, when every column passes the integrability test."""
+    parts = []
+    for i in range(psi.shape[1]):
+        obstacle = curl(plant, psi[:, i])
+        if obstacle is not None:
+            yield _Obstacle(strategy, i, obstacle)
+            return
+        part = potential(plant, psi[:, i])
+        if part is None:
+            return
+        parts.append(part)
+    yield _Candidate(strategy, ca.vertcat(*parts))
+
+
+def _ansatz(plant: Plant) -> Iterator[_Candidate]:
+    """gamma as a combination of coordinates, their products, and the model's atoms, with w = 0.
+
+    The conditions ``grad gamma^T f = g^T grad S`` and ``grad gamma^T g = 0`` are linear in the coefficients.
+    """
+    system = plant.system
+    functions = _basis(plant)
+    gradients = ca.jacobian(ca.vertcat(*functions), system.x)
+    along_f, along_g = ca.mtimes(gradients, system.f), ca.mtimes(gradients, system.g)
+    natural = ca.mtimes(system.g.T, plant.gradient)
+    field, (drift, inputs, wanted) = plant.exact(along_f, along_g, natural, symbolic=True)
+    zero = field.const(0)
+    parts = []
+    for i in range(system.m):
+        row = _combination(plant, field, drift.column(zero), inputs.dense(zero), wanted.column(zero)[i])
+        if row is None:
+            return
+        symbols = [s for column in plant.symbols for s in ca.vertsplit(column)]
+        parts.append(sum((field.to_sx(c, symbols) * functions[k] for k, c in row.items()), ca.SX(0)))
+    yield _Candidate("basis ansatz with w = 0", ca.vertcat(*parts))
+
+
+def _basis(plant: Plant) -> list[ca.SX]:
+    """Coordinates, their products, and the atoms of f, g, S."""
+    x = ca.vertsplit(plant.system.x)
+    products = [x[i] * x[j] for i in range(len(x)) for j in range(i, len(x))] if len(x) <= 12 else []
+    field, _ = plant.exact(plant.system.f, plant.system.g, plant.system.S, symbolic=True)
+    symbols = [s for column in plant.symbols for s in ca.vertsplit(column)]
+    parameters = plant.parameter_positions()
+    atoms = [
+        field.to_sx(field.symbol(k), symbols)
+        for k, a in sorted(field.atoms.items())
+        if not a.argument.symbols() <= parameters
+    ]
+    return [*x, *atoms, *products]
+
+
+def _combination(
+    plant: Plant, field: Field, drift: list[Quotient], inputs: list[list[Quotient]], wanted: Quotient
+) -> dict[int, Quotient] | None:
+    coefficients = Coefficients(field, plant.parameter_positions())
+    rows: list[Row] = []
+    conditions = [(drift, wanted)] + [([row[j] for row in inputs], field.const(0)) for j in range(plant.system.m)]
+    for offered, target in conditions:
+        splits = [coefficients.split(value) for value in offered]
+        goal = coefficients.split(target)
+        if goal is None or any(split is None for split in splits):
+            return None
+        present = {m for split in splits if split for m in split} | set(goal)
+        for monomial in sorted(present):
+            row: Row = {k: split[monomial] for k, split in enumerate(splits) if split and monomial in split}
+            if monomial in goal:
+                row[CONSTANT] = -goal[monomial]
+            rows.append(row)
+    try:
+        solution = particular_solution(reduce_rows(rows), field.const(0))
+    except Inconsistent:
+        return None
+    return {int(str(k)): value for k, value in solution.items() if not value.is_zero()}
+
+
+# --- the proof ---------------------------------------------------------------------------------------------------
+
+
+def find(plant: Plant, structure: PowerStructure | None, storage_proved: bool) -> PassiveOutput | Claim:
+    """The first gamma that is proved to give a passive output, else the verdict that says what was tried."""
+    tried: list[str] = []
+    obstacles: list[_Obstacle] = []
+    unproved: _Candidate | None = None
+    try:
+        for candidate in _candidates(plant, structure):
+            if isinstance(candidate, _Obstacle):
+                obstacles.append(candidate)
+                tried.append(f"{candidate.strategy}: not integrable")
+                continue
+            method = prove(plant, structure, candidate.gamma, storage_proved)
+            if method is not None:
+                claim = _proved(candidate, method)
+                return PassiveOutput(candidate.gamma, candidate.strategy, claim, method.startswith("structure"))
+            tried.append(f"{candidate.strategy}: Z(x) >= 0 not proved")
+            unproved = unproved or candidate
+    except (UnsupportedOperation, ZeroDivisionError) as reason:
+        tried.append(str(reason))
+    if unproved is not None:
+        return PassiveOutput(unproved.gamma, unproved.strategy, _unproved(unproved, storage_proved), False)
+    return _none(plant, tried, obstacles)
+
+
+def prove(plant: Plant, structure: PowerStructure | None, gamma: ca.SX, storage_proved: bool) -> str | None:
+    """How ``Z(x) >= 0`` was proved for this gamma, or None."""
+    system = plant.system
+    if not storage_proved:
+        return None
+    psi = ca.jacobian(gamma, system.x).T
+    if structure is not None:
+        matrix, rho = structure.matrix, structure.remainder
+    else:
+        matrix, rho = ca.SX(system.n, system.n), ca.SX(system.n, 1)
+    try:
+        field, (p, g, f, e, shape, rest) = plant.exact(psi, system.g, system.f, plant.gradient, matrix, rho)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return None
+    zero = field.const(0)
+    psi_columns, g_columns = columns(p, zero), columns(g, zero)
+    drift, gradient = f.column(zero), e.column(zero)
+    if structure is not None and _matched(
+        structure, psi_columns, g_columns, shape.dense(zero), rest.column(zero), zero
+    ):
+        return f"structure: grad gamma = {'-F^-1 g' if structure.form == 'F' else '-A g'}"
+    return _direct(psi_columns, g_columns, drift, gradient, zero)
+
+
+def _matched(
+    structure: PowerStructure,
+    psi: list[list[Quotient]],
+    g: list[list[Quotient]],
+    matrix: list[list[Quotient]],
+    rho: list[Quotient],
+    zero: Quotient,
+) -> bool:
+    """``F grad gamma = -g`` and ``rho^T grad gamma = 0`` (or grad gamma = -A g): then Z is a quadratic form of B."""
+    for psi_i, g_i in zip(psi, g, strict=True):
+        left, right = (psi_i, g_i) if structure.form == "F" else (g_i, psi_i)
+        if not dot(rho, psi_i, zero).is_zero():
+            return False
+        if any(not (dot(row, left, zero) + right[k]).is_zero() for k, row in enumerate(matrix)):
+            return False
+    return True
+
+
+def _direct(
+    psi: list[list[Quotient]],
+    g: list[list[Quotient]],
+    f: list[Quotient],
+    e: list[Quotient],
+    zero: Quotient,
+) -> str | None:
+    """Z >= 0 as a matrix of functions."""
+    m = len(psi)
+    half = zero.field.const(1) / zero.field.const(2)
+    corner = -dot(e, f, zero)
+    border = [(dot(psi[i], f, zero) - dot(g[i], e, zero)) * half for i in range(m)]
+    feedthrough = [[dot(psi[i], g[j], zero) for j in range(m)] for i in range(m)]
+    block = [[(feedthrough[i][j] + feedthrough[j][i]) * half for j in range(m)] for i in range(m)]
+    if all(entry.is_zero() for entry in border):
+        return "exact algebra: Z block diagonal" if semidefinite(block) else None
+    Z = [[corner, *border], *[[border[i], *block[i]] for i in range(m)]]
+    return "exact algebra: Z(x) >= 0 by elimination" if nonnegative(corner) and semidefinite(Z) else None
+
+
+# --- verdicts ----------------------------------------------------------------------------------------------------
+
+
+def _proved(candidate: _Candidate, method: str) -> Claim:
+    return Claim("passive-output", Status.PROVED, "all x", method, f"gamma found: {candidate.strategy}")
+
+
+def _unproved(candidate: _Candidate, storage_proved: bool) -> Claim:
+    why = "Z(x) >= 0 was not proved" if storage_proved else "assumption-1 is not proved, and it is part of Z(x) >= 0"
+    return Claim(
+        "passive-output",
+        Status.UNDECIDED,
+        "all x",
+        "exact algebra",
+        f"candidate gamma: {candidate.strategy}; {why}",
+        "check the storage and the signs of the dissipation" if not storage_proved else "give gamma with the model",
+    )
+
+
+def _none(plant: Plant, tried: list[str], obstacles: list[_Obstacle]) -> Claim:
+    evidence = "no gamma found; tried " + ("; ".join(tried) if tried else "every strategy")
+    hint = "give gamma=... with the model, or measure and use another output"
+    if obstacles:
+        first = obstacles[0]
+        names = plant.system.state_names
+        evidence += (
+            f"; the gradient from {first.strategy} has d psi_{names[first.curl.i]}/d{names[first.curl.j]} "
+            f"!= d psi_{names[first.curl.j]}/d{names[first.curl.i]}"
+        )
+    return Claim("passive-output", Status.UNDECIDED, "all x", "strategies for gamma", evidence, hint)

@@ -1,0 +1,330 @@
+"""Energy shaping at x*: kappa, the gradient and Hessian conditions (hesscond), and the bound on K_c (hessSdc)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import casadi as ca
+from flint import fmpq, fmpq_mat
+
+from pbcgen.passivity.plant import Plant, Point
+from pbcgen.passivity.structure import PowerStructure
+from pbcgen.proof.claim import Claim, Status
+from pbcgen.proof.definite import Definiteness, RealMatrix, as_balls, eigenvalues, positive_definite
+from pbcgen.symbolic.real import BITS, ZERO, Real, is_finite, precision, radius, rational, sign, text
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Second-order data of the shaped storage at x*, exact or enclosed.
+
+    Attributes:
+        kappa: m entries (kappa); the equilibrium input is -kappa.
+        gradient: grad S + grad gamma kappa at x*, n entries; zero when the gradient condition holds.
+        H0: hess S + hess(gamma^T kappa) at x*, n x n.
+        N: grad gamma at x*, n x m.
+    """
+
+    kappa: tuple[Real, ...]
+    gradient: tuple[Real, ...]
+    H0: RealMatrix
+    N: RealMatrix
+
+    def hessian(self, stiffness: RealMatrix) -> RealMatrix:
+        """``H0 + N A N^T`` for an m x m stiffness A."""
+        return add(self.H0, congruence(self.N, stiffness))
+
+
+def add(a: RealMatrix, b: RealMatrix) -> RealMatrix:
+    """The entrywise sum."""
+    return [[x + y for x, y in zip(p, q, strict=True)] for p, q in zip(a, b, strict=True)]
+
+
+def multiply(a: RealMatrix, b: RealMatrix) -> RealMatrix:
+    """The matrix product; exact zeros stay exact."""
+    transposed = list(zip(*b, strict=True))
+    return [[_dot(row, column) for column in transposed] for row in a]
+
+
+def _dot(a: object, b: object) -> Real:
+    total: Real = ZERO
+    for x, y in zip(a, b, strict=True):  # type: ignore[call-overload]
+        if not ((isinstance(x, fmpq) and x == 0) or (isinstance(y, fmpq) and y == 0)):
+            total = total + x * y
+    return total
+
+
+def transpose(a: RealMatrix) -> RealMatrix:
+    """The transpose."""
+    return [list(row) for row in zip(*a, strict=True)]
+
+
+def congruence(n: RealMatrix, a: RealMatrix) -> RealMatrix:
+    """``N A N^T``."""
+    return multiply(multiply(n, a), transpose(n))
+
+
+def diagonal(entries: list[Real]) -> RealMatrix:
+    """A diagonal matrix."""
+    return [[entry if i == j else ZERO for j in range(len(entries))] for i, entry in enumerate(entries)]
+
+
+def exact_matrix(rows: tuple[tuple[Fraction, ...], ...]) -> RealMatrix:
+    """Exact gains as a matrix of reals."""
+    return [[rational(entry) for entry in row] for row in rows]
+
+
+def inverse(matrix: RealMatrix) -> RealMatrix | None:
+    """The inverse, exact or enclosed; None if it may be singular."""
+    try:
+        if all(isinstance(entry, fmpq) for row in matrix for entry in row):
+            return [list(row) for row in fmpq_mat(matrix).inv().tolist()]
+        return [list(row) for row in as_balls(matrix).inv().tolist()]
+    except ZeroDivisionError:
+        return None
+
+
+def shape_at(plant: Plant, point: Point, gamma: ca.SX, compensated: bool = False) -> Shape:
+    """Evaluate kappa, gradient and Hessians at x*.
+
+    Args:
+        plant: the system.
+        point: x* and u* = -kappa.
+        gamma: m x 1.
+        compensated: whether the controller cancels the potential energy (umec): then kappa plays no role and the
+            kinetic energy is shaped instead of S.
+    """
+    system = plant.system
+    kappa = tuple(-u for u in point.u)
+    total = system.S + ca.dot(gamma, -system.u)
+    if compensated and system.mechanical is not None:
+        total = ca.dot(system.mechanical.p, system.mechanical.velocity) / 2
+    gradient = ca.gradient(total, system.x)
+    hessian = ca.densify(ca.jacobian(gradient, system.x))
+    first, second, slope = plant.at(point, gradient, hessian, ca.densify(ca.jacobian(gamma, system.x).T))
+    symmetric = [[second[max(i, j)][min(i, j)] for j in range(system.n)] for i in range(system.n)]
+    return Shape(kappa, tuple(row[0] for row in first), symmetric, slope)
+
+
+# --- claims ------------------------------------------------------------------------------------------------------
+
+
+def gradient_condition(plant: Plant, point: Point, shape: Shape, structure: PowerStructure | None) -> Claim:
+    """``grad S + grad gamma kappa = 0`` at x*.
+
+    Where x* is only enclosed, balls cannot show that a number is zero. Then the power structure does: with
+    F grad gamma = -g, ``0 = f + g u = F (grad S + grad gamma kappa) - rho`` at x*, so a regular F and rho = 0 leave
+    only zero; with grad gamma = -A g, ``grad S + grad gamma kappa = A (f + g u) = 0`` outright.
+
+    Args:
+        plant, point, shape: the system at x*.
+        structure: a power structure for which the relation with grad gamma is proved, or None.
+    """
+    signs = [sign(v) for v in shape.gradient]
+    nonzero = [k for k, s in enumerate(signs) if s in (1, -1)]
+    if nonzero:
+        return _gradient_refuted(plant, shape, nonzero[0])
+    if all(s == 0 for s in signs):
+        return Claim("gradient-condition", Status.PROVED, "at x*", "exact evaluation", "grad S + grad gamma kappa = 0")
+    if structure is not None and all(is_finite(v) for v in shape.gradient) and _is_regular(plant, point, structure):
+        relation = (
+            "F regular at x*, F (grad S + grad gamma kappa) = f + g u" if structure.form == "F" else "A (f + g u)"
+        )
+        return Claim(
+            "gradient-condition",
+            Status.PROVED,
+            "at x*",
+            f"structure: {relation} = 0",
+            f"each entry lies within {max(float(radius(v)) for v in shape.gradient):.1e} of zero, and must be zero",
+        )
+    return Claim(
+        "gradient-condition",
+        Status.UNDECIDED,
+        "at x*",
+        "ball arithmetic",
+        "the enclosure contains zero",
+        "name the target by coordinates that make x* rational",
+    )
+
+
+def _gradient_refuted(plant: Plant, shape: Shape, k: int) -> Claim:
+    name = plant.system.state_names[k]
+    return Claim(
+        "gradient-condition",
+        Status.REFUTED,
+        "at x*",
+        "exact or ball arithmetic",
+        f"entry {name} of grad S + grad gamma kappa is {text(shape.gradient[k], 6)}",
+        "l(x*) is not zero for this storage (dissipation obstacle), or gamma does not reach this coordinate",
+        {"entry": name, "value": text(shape.gradient[k], 9)},
+    )
+
+
+def _is_regular(plant: Plant, point: Point, structure: PowerStructure) -> bool:
+    """Whether the structure determines grad S + grad gamma kappa from f + g u at x*."""
+    if structure.form == "A":
+        return True
+    matrix, remainder = plant.at(point, ca.densify(structure.matrix), structure.remainder)
+    with precision(BITS):
+        regular = sign(as_balls(matrix).det()) in (1, -1)
+    return regular and all(sign(row[0]) == 0 for row in remainder)
+
+
+@dataclass(frozen=True)
+class HessianVerdict:
+    """The claims `hessian-condition` and `kc-bound` with the numbers behind them.
+
+    Attributes:
+        hessian, kc: the claims.
+        smallest_eigenvalue: of hess S_d at x*.
+        alpha_beta_min: the diagonal of the smallest multiple of diag(alpha beta) that meets the Hessian condition,
+            zeros if every positive one does, None if none does.
+        kc_bound: A N^T H^-1 N A - A, which K_c must exceed (any K_c > 0 if negative semidefinite).
+        kc_min: the smallest k with K_c = k I meeting the bound.
+    """
+
+    hessian: Claim
+    kc: Claim
+    smallest_eigenvalue: float
+    alpha_beta_min: tuple[float, ...] | None
+    kc_bound: RealMatrix | None
+    kc_min: float | None
+
+
+def hessian_conditions(
+    plant: Plant, shape: Shape, alpha_beta: tuple[Fraction, ...], K_c: tuple[tuple[Fraction, ...], ...] | None
+) -> HessianVerdict:
+    """Decide (hesscond) and ``hess S_dc > 0`` for the gains."""
+    stiffness = diagonal([rational(v) for v in alpha_beta])
+    with precision(BITS):
+        H = shape.hessian(stiffness)
+        verdict = positive_definite(H)
+        smallest = eigenvalues(H)[0]
+        threshold = _smallest_multiple(shape, stiffness)
+        bound = None if verdict.status is not Status.PROVED else _kc_bound(shape, stiffness, H)
+        kc = _kc_claim(shape, stiffness, bound, K_c)
+    minimum = None if threshold is None else tuple(threshold * float(v) for v in alpha_beta)
+    kc_min = None if bound is None else max(0.0, eigenvalues(bound)[-1])
+    return HessianVerdict(
+        _hessian_claim(plant, verdict, smallest, minimum, alpha_beta), kc, smallest, minimum, bound, kc_min
+    )
+
+
+def _hessian_claim(
+    plant: Plant,
+    verdict: Definiteness,
+    smallest: float,
+    minimum: tuple[float, ...] | None,
+    alpha_beta: tuple[Fraction, ...],
+) -> Claim:
+    method = "LDL^T in exact or ball arithmetic"
+    if verdict.status is Status.PROVED:
+        evidence = f"hess S_d(x*) > 0, smallest eigenvalue {smallest:.6g}"
+        return Claim("hessian-condition", Status.PROVED, "at x*", method, evidence)
+    given = ", ".join(f"{float(v):.6g}" for v in alpha_beta)
+    if minimum is None:
+        hint = "no alpha*beta helps: the storage must be positive where gamma does not act; choose another target"
+    else:
+        hint = f"alpha*beta must exceed {', '.join(f'{v:.9g}' for v in minimum)}; it is {given}"
+    evidence = f"hess S_d(x*) is not positive definite, smallest eigenvalue {smallest:.6g}"
+    counterexample = None
+    if verdict.status is Status.REFUTED and verdict.witness is not None and verdict.value is not None:
+        direction = {n: f"{float(v):.9g}" for n, v in zip(plant.system.state_names, verdict.witness, strict=True)}
+        counterexample = {"v": direction, "v^T hess S_d v": text(verdict.value, 9)}
+    return Claim("hessian-condition", verdict.status, "at x*", method, evidence, hint, counterexample)
+
+
+def _smallest_multiple(shape: Shape, stiffness: RealMatrix) -> float | None:
+    """The infimum t of multiples with H0 + t N A N^T > 0: 0 if H0 > 0, None if there is none.
+
+    Bisection on exact tests; the set of good multiples is an up-set.
+    """
+
+    def good(t: Fraction) -> bool:
+        scaled = [[entry * rational(t) for entry in row] for row in stiffness]
+        return positive_definite(shape.hessian(scaled)).status is Status.PROVED
+
+    if good(Fraction(0)):
+        return 0.0
+    lo, hi = Fraction(0), Fraction(1)
+    while not good(hi):
+        lo, hi = hi, hi * 16
+        if hi > Fraction(10) ** 24:
+            return None
+    while lo == 0 and hi > Fraction(1, 10**15):
+        middle = hi / 16
+        lo, hi = (Fraction(0), middle) if good(middle) else (middle, hi)
+    for _ in range(60):
+        if hi - lo <= hi * Fraction(1, 10**13):
+            break
+        middle = (lo + hi) / 2
+        lo, hi = (lo, middle) if good(middle) else (middle, hi)
+    return 0.0 if lo == 0 else float(hi)
+
+
+def _kc_bound(shape: Shape, stiffness: RealMatrix, H: RealMatrix) -> RealMatrix | None:
+    inverted = inverse(H)
+    if inverted is None:
+        return None
+    NA = multiply(shape.N, stiffness)
+    product = multiply(multiply(transpose(NA), inverted), NA)
+    return [[p - a for p, a in zip(x, y, strict=True)] for x, y in zip(product, stiffness, strict=True)]
+
+
+def _kc_claim(
+    shape: Shape, stiffness: RealMatrix, bound: RealMatrix | None, K_c: tuple[tuple[Fraction, ...], ...] | None
+) -> Claim:
+    if bound is None or K_c is None:
+        return Claim(
+            "kc-bound",
+            Status.UNDECIDED,
+            "at x*",
+            "Schur complement",
+            "needs the Hessian condition first",
+            "satisfy hessian-condition",
+        )
+    gains = exact_matrix(K_c)
+    verdict = positive_definite(_extended(shape, stiffness, gains))
+    required = max(0.0, eigenvalues(bound)[-1])
+    if verdict.status is Status.PROVED:
+        evidence = "hess S_dc > 0" + (f"; K_c = k I needs k > {required:.6g}" if required > 0 else "; any K_c > 0 does")
+        return Claim("kc-bound", Status.PROVED, "at x*", "LDL^T in exact or ball arithmetic", evidence)
+    counterexample = None
+    if verdict.status is Status.REFUTED and verdict.witness is not None and verdict.value is not None:
+        counterexample = {"v": [f"{float(v):.9g}" for v in verdict.witness], "v^T hess S_dc v": text(verdict.value, 9)}
+    return Claim(
+        "kc-bound",
+        verdict.status,
+        "at x*",
+        "LDL^T in exact or ball arithmetic",
+        "hess S_dc(x*, 0) is not positive definite",
+        f"make K_c larger: K_c = k I needs k > {required:.9g}",
+        counterexample,
+    )
+
+
+def _extended(shape: Shape, stiffness: RealMatrix, K_c: RealMatrix) -> RealMatrix:
+    """hess S_dc at (x*, 0), (n + m) x (n + m) (hessSdc)."""
+    NA = multiply(shape.N, stiffness)
+    top = [[*row, *extra] for row, extra in zip(shape.hessian(stiffness), NA, strict=True)]
+    bottom = [[*left, *right] for left, right in zip(transpose(NA), add(K_c, stiffness), strict=True)]
+    return [*top, *bottom]
+
+
+def gain_definiteness(gains: dict[str, tuple[tuple[Fraction, ...], ...]]) -> Claim:
+    """The claim `gain-definiteness`: every matrix gain is positive definite (R_psi: semidefinite)."""
+    for name, gain in gains.items():
+        verdict = positive_definite(exact_matrix(gain))
+        if verdict.status is not Status.PROVED and verdict.witness is not None:
+            return Claim(
+                "gain-definiteness",
+                Status.REFUTED,
+                "at x*",
+                "LDL^T over the rationals",
+                f"{name} is not positive definite",
+                f"choose a positive definite {name}",
+                {"gain": name, "v": [str(v) for v in verdict.witness], "v^T K v": text(verdict.value or ZERO)},
+            )
+    listed = ", ".join(gains)
+    return Claim("gain-definiteness", Status.PROVED, "all x", "LDL^T over the rationals", f"{listed} > 0")
