@@ -4,6 +4,7 @@
     literals      machine numbers as C literals
     expressions   tape instructions as C expressions
     program       the typed tree that the templates loop over
+    lowering      from a law to that tree
     templating    where the templates are
     wording       prose of header, README and manifest
     package       render and write

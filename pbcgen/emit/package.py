@@ -13,7 +13,8 @@ from pbcgen.control.law import ControlLaw, ScalarSolve
 from pbcgen.control.step import StepStatus
 from pbcgen.emit import wording
 from pbcgen.emit.identifiers import package_prefix
-from pbcgen.emit.program import Program, program_of
+from pbcgen.emit.lowering import program_of
+from pbcgen.emit.program import Program
 from pbcgen.emit.templating import fill
 from pbcgen.errors import EmitError
 

@@ -83,6 +83,15 @@ def number(value: Fraction) -> str:
     return fraction if len(fraction) <= 12 else f"about {float(value):.9g}"
 
 
+def value(literal: str) -> str:
+    """A C literal as a number in prose.
+
+    >>> value("1e-05f"), value("0.5")
+    ('1e-05', '0.5')
+    """
+    return literal.removesuffix("f")
+
+
 def interval(bounds: tuple[Fraction, Fraction] | None, unit: str = "") -> str:
     """``[lo, hi] unit``, empty for no bounds."""
     if bounds is None:

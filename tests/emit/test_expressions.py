@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from pbcgen.control.step import NumpyAlgebra
 from pbcgen.emit.expressions import FORMS, Graph, Printer
-from pbcgen.emit.program import constants_of
+from pbcgen.emit.lowering import constants_of
 from pbcgen.emit.templating import fill
 from pbcgen.errors import EmitError, UnsupportedOperation
 from pbcgen.symbolic.tape import OPERATIONS, Operation, Tape

@@ -1,0 +1,322 @@
+"""From a control law to the tree of :mod:`pbcgen.emit.program`: all decisions about the C are made here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, Signal, VectorSolve
+from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
+from pbcgen.control.step import check_solves, equilibrium_output
+from pbcgen.emit.expressions import Graph, Node, Printer, Statement
+from pbcgen.emit.identifiers import Scope
+from pbcgen.emit.literals import literal
+from pbcgen.emit.program import (
+    BlockCall,
+    BlockFunction,
+    Body,
+    Constants,
+    InputMember,
+    OutputMember,
+    Program,
+    ScalarCall,
+    ScalarFunction,
+    StateMember,
+)
+from pbcgen.errors import EmitError
+from pbcgen.symbolic.tape import Matrix
+
+
+def program_of(law: ControlLaw, prefix: str) -> Program:
+    """Lower ``law`` to C texts. Raises EmitError for what cannot be written, ValueError for an inconsistent law."""
+    if not law.inputs or not law.outputs:
+        raise EmitError(f"the law of `{law.name}` has no inputs or no outputs: there is nothing to step")
+    check_solves(law)
+    outputs = _outputs(law)
+    members = _Members(_inputs(law), outputs, _states(law, outputs))
+    functions = _SolverFunctions.of(law, prefix)
+    return Program(
+        prefix=prefix,
+        constants=constants_of(law.precision),
+        sample_period=literal(nearest(law.sample_period, law.precision, "the sample period")),
+        inputs=members.inputs,
+        outputs=members.outputs,
+        states=members.states,
+        state_checks=_state_checks(prefix, members),
+        scalar_functions=tuple(functions.scalar.values()),
+        block_functions=tuple(functions.block.values()),
+        body=_body(law, prefix, members, functions),
+        renamed=_renamed(members),
+    )
+
+
+@dataclass(frozen=True)
+class _Members:
+    """The members of the three structs."""
+
+    inputs: tuple[InputMember, ...]
+    outputs: tuple[OutputMember, ...]
+    states: tuple[StateMember, ...]
+
+    @property
+    def memory(self) -> tuple[StateMember, ...]:
+        """The controller states xi."""
+        return tuple(member for member in self.states if member.is_memory)
+
+    def arguments(self, graph: Graph) -> list[list[Node]]:
+        """M and xi as the step reads them."""
+        return [
+            [graph.name(f"input->{member.c_name}") for member in self.inputs],
+            [graph.name(f"state->{member.c_name}") for member in self.memory],
+        ]
+
+
+def constants_of(precision: Precision) -> Constants:
+    """The notation of ``precision``."""
+
+    def real(text: str) -> str:
+        return literal(nearest(Fraction(text), precision))
+
+    return Constants(
+        real=precision,
+        f="f" if precision == "float" else "",
+        zero=real("0"),
+        half=real("0.5"),
+        one=real("1"),
+        largest=literal(np.finfo(DTYPES[precision]).max),
+        state_limit=literal(nearest(STATE_LIMIT[precision], precision)),
+        erfinv_small=real("0.05"),
+        erfinv_slope=real("0.88622692545275801365"),
+        erfinv_shift=real("4.3307467508"),
+        erfinv_scale=real("13.605442177"),
+    )
+
+
+def _inputs(law: ControlLaw) -> tuple[InputMember, ...]:
+    scope = Scope()
+    return tuple(InputMember(s, scope.claim(s.name), law.ranges.get(s.name)) for s in law.inputs)
+
+
+def _outputs(law: ControlLaw) -> tuple[OutputMember, ...]:
+    scope, macros = Scope(), Scope()
+    members = []
+    for signal, interval, equilibrium in zip(law.outputs, law.intervals, equilibrium_output(law), strict=True):
+        name = scope.claim(signal.name)
+        low, high = inward(interval, law.precision, f"the interval of `{signal.name}`")
+        members.append(
+            OutputMember(
+                signal=signal,
+                c_name=name,
+                macro=macros.claim(name.strip("_").upper()),
+                interval=interval,
+                low=literal(low),
+                high=literal(high),
+                equilibrium=literal(equilibrium),
+                fallback=f"state->last_{name}" if law.fallback is Fallback.LAST_OUTPUT else literal(equilibrium),
+                next=f"out_{name}",
+            )
+        )
+    return tuple(members)
+
+
+def _states(law: ControlLaw, outputs: Sequence[OutputMember]) -> tuple[StateMember, ...]:
+    """The controller states and, where the law holds its last output, the outputs."""
+    scope = Scope()
+    zero = literal(nearest(Fraction(0), law.precision))
+    held = []
+    if law.fallback is Fallback.LAST_OUTPUT:
+        for output in outputs:
+            name = f"last_{output.c_name}"
+            scope.taken.add(name)
+            signal = Signal(name, output.signal.unit, "last valid output")
+            held.append(StateMember(signal, name, output.equilibrium, f"output->{output.c_name}", is_memory=False))
+    memory = []
+    for signal in law.states:
+        name = scope.claim(signal.name)
+        memory.append(StateMember(signal, name, zero, f"next_{name}", is_memory=True))
+    return (*memory, *held)
+
+
+def _state_checks(prefix: str, members: _Members) -> tuple[str, ...]:
+    """Conditions on ``state`` that every state stored by a step meets."""
+    held = {f"output->{output.c_name}": output for output in members.outputs}
+    checks = []
+    for state in members.states:
+        value = f"state->{state.c_name}"
+        if state.is_memory:
+            checks.append(f"{prefix}_is_bounded({value})")
+        else:
+            checks.append(f"({value} >= {held[state.next].low}) && ({value} <= {held[state.next].high})")
+    return tuple(checks)
+
+
+def _renamed(members: _Members) -> tuple[tuple[str, str], ...]:
+    everything: tuple[InputMember | OutputMember | StateMember, ...] = (
+        *members.inputs,
+        *members.outputs,
+        *members.states,
+    )
+    return tuple(sorted({(m.signal.name, m.c_name) for m in everything if m.signal.name != m.c_name}))
+
+
+@dataclass(frozen=True)
+class _SolverFunctions:
+    """The solver functions, each for the solves that can share it."""
+
+    scalar: Mapping[int, ScalarFunction]
+    block: Mapping[tuple[int, int, float], BlockFunction]
+
+    @staticmethod
+    def of(law: ControlLaw, prefix: str) -> _SolverFunctions:
+        scalar: dict[int, ScalarFunction] = {}
+        block: dict[tuple[int, int, float], BlockFunction] = {}
+        bounds: dict[int, float] = {}
+        for solve in law.solves:
+            if isinstance(solve, ScalarSolve):
+                bounds[solve.iterations] = max(bounds.get(solve.iterations, 0.0), solve.error_bound)
+            elif _key(solve) not in block:
+                name = f"{prefix}_solve_block{len(block) or ''}"
+                tolerance = literal(nearest(Fraction(solve.tolerance), law.precision, "the tolerance"))
+                m = len(solve.indices)
+                block[_key(solve)] = BlockFunction(name, m, solve.iterations, tolerance)
+        for iterations, bound in sorted(bounds.items()):
+            name = f"{prefix}_solve" if len(bounds) == 1 else f"{prefix}_solve_in_{iterations}"
+            scalar[iterations] = ScalarFunction(name, iterations, f"{bound:.2g}")
+        return _SolverFunctions(scalar, block)
+
+
+def _key(solve: VectorSolve) -> tuple[int, int, float]:
+    return (len(solve.indices), solve.iterations, solve.tolerance)
+
+
+def _body(law: ControlLaw, prefix: str, members: _Members, functions: _SolverFunctions) -> Body:
+    graph = Graph()
+    zero = graph.const(Fraction(0))
+    t_names = _t_names(law)
+    c, N = law.prepare.walk(graph, members.arguments(graph))
+    coefficients = _Coefficients.of(law, prefix, N, zero)
+    prepare_roots = {f"c{i}": root for i, root in enumerate(c.column(zero))} | coefficients.roots
+    update_roots = _update_roots(law, graph, members, t_names)
+    printer = Printer(graph, law.precision, prefix, [*prepare_roots.values(), *update_roots.values()])
+    scalars, blocks = _calls(law, functions, coefficients.texts, t_names)
+    return Body(
+        prepare=_named_stage(printer, prepare_roots),
+        prepare_checks=(*(f"{prefix}_is_finite(c{i})" for i in range(law.channels)), *coefficients.checks),
+        scalars=scalars,
+        blocks=blocks,
+        update=_named_stage(printer, update_roots),
+        update_checks=(
+            *(f"{prefix}_is_bounded({member.next})" for member in members.memory),
+            *(f"{prefix}_is_finite({member.next})" for member in members.outputs),
+        ),
+        helpers=printer.helpers | ({"tanh"} if law.channels else set()),
+    )
+
+
+def _update_roots(law: ControlLaw, graph: Graph, members: _Members, t_names: Sequence[str]) -> dict[str, Node]:
+    """The next states and the unclamped outputs, by local variable."""
+    zero = graph.const(Fraction(0))
+    t = [graph.name(name) for name in t_names]
+    next_xi, u = law.update.walk(graph, [*members.arguments(graph), t])
+    roots = dict(zip([member.next for member in members.memory], next_xi.column(zero), strict=True))
+    return roots | dict(zip([member.next for member in members.outputs], u.column(zero), strict=True))
+
+
+def _named_stage(printer: Printer, roots: Mapping[str, Node]) -> tuple[Statement, ...]:
+    """Statements that end by giving each root its name."""
+    statements, texts = printer.stage(list(roots.values()))
+    return (*statements, *(Statement(name, text) for name, text in zip(roots, texts, strict=True)))
+
+
+def _t_names(law: ControlLaw) -> list[str]:
+    """The C expression of t, by channel."""
+    names = [""] * law.channels
+    block = 0
+    for solve in law.solves:
+        if isinstance(solve, ScalarSolve):
+            names[solve.index] = f"t{solve.index}"
+            continue
+        for k, channel in enumerate(solve.indices):
+            names[channel] = f"t_block{block}[{k}]"
+        block += 1
+    return names
+
+
+@dataclass(frozen=True)
+class _Coefficients:
+    """The entries of N that the solves read.
+
+    Attributes:
+        texts: by position, a literal or the local variable that holds the entry; equal entries share one.
+        roots: the local variables, and what they hold.
+        checks: what must hold of them.
+    """
+
+    texts: dict[tuple[int, int], str]
+    roots: dict[str, Node]
+    checks: tuple[str, ...]
+
+    @staticmethod
+    def of(law: ControlLaw, prefix: str, N: Matrix[Node], zero: Node) -> _Coefficients:
+        """Raises EmitError for a constant mu below zero."""
+        texts: dict[tuple[int, int], str] = {}
+        roots: dict[str, Node] = {}
+        signs = []
+        for solve in law.solves:
+            indices = (solve.index,) if isinstance(solve, ScalarSolve) else solve.indices
+            for at in [(i, j) for i in indices for j in indices]:
+                node = N.entries.get(at, zero)
+                texts[at] = _coefficient(law, node, at, roots)
+                if isinstance(solve, ScalarSolve):
+                    signs += _sign_check(law, node, texts[at])
+        finite = [f"{prefix}_is_finite({name})" for name in roots]
+        return _Coefficients(texts, roots, (*finite, *signs))
+
+
+def _coefficient(law: ControlLaw, node: Node, at: tuple[int, int], roots: dict[str, Node]) -> str:
+    """The text of one entry of N; a new local variable joins ``roots`` if it needs one."""
+    if node.value is not None:
+        return literal(nearest(node.value, law.precision, f"the coefficient N[{at[0]}, {at[1]}]"))
+    for name, known in roots.items():
+        if known is node:
+            return name
+    name = f"n{at[0]}_{at[1]}"
+    roots[name] = node
+    return name
+
+
+def _sign_check(law: ControlLaw, node: Node, text: str) -> list[str]:
+    """The condition mu >= 0 if it must be checked at run time."""
+    if node.value is None:
+        return [f"({text} >= {literal(nearest(Fraction(0), law.precision))})"]
+    if node.value < 0:
+        raise EmitError(f"a channel has mu = {float(node.value)}: mu must not be negative")
+    return []
+
+
+def _calls(
+    law: ControlLaw, functions: _SolverFunctions, coefficients: Mapping[tuple[int, int], str], t_names: Sequence[str]
+) -> tuple[tuple[ScalarCall, ...], tuple[BlockCall, ...]]:
+    scalars: list[ScalarCall] = []
+    blocks: list[BlockCall] = []
+    for solve in law.solves:
+        if isinstance(solve, ScalarSolve):
+            i = solve.index
+            scalars.append(ScalarCall(t_names[i], functions.scalar[solve.iterations].name, coefficients[i, i], f"c{i}"))
+            continue
+        rows, k = solve.indices, len(blocks)
+        blocks.append(
+            BlockCall(
+                t=f"t_block{k}",
+                n=f"n_block{k}",
+                c=f"c_block{k}",
+                function=functions.block[_key(solve)].name,
+                size=len(rows),
+                entries=tuple(coefficients[i, j] for i in rows for j in rows),
+                right_side=tuple(f"c{i}" for i in rows),
+            )
+        )
+    return tuple(scalars), tuple(blocks)
