@@ -54,9 +54,7 @@ def run(model: str, settings: options.Settings, *, plot: Path | None = None, jso
     if plot is not None:
         _check_picture(plot)
     with progress("load") as tell:
-        design = settings.design(model)
-        tell("simulate")
-        simulation = pipeline.simulate(design, allow=settings.allow)
+        simulation = pipeline.simulate(settings.design(model), allow=settings.allow, progress=tell)
         if plot is not None:
             tell("draw")
             _draw(simulation, plot)
@@ -128,12 +126,14 @@ def _inputs(simulation: Simulation) -> list[dict[str, Any]]:
 
 def _show(console: Console, simulation: Simulation, plot: Path | None) -> None:
     design, sampled = simulation.report.design, simulation.sampled
-    console.print(f"{design.name}: {sampled.times[-1]:g} s in steps of {float(design.sample_period):g} s", style="bold")
+    console.print(
+        f"{design.name}: {sampled.times[-1]:g} s in steps of {float(design.sample_period):g} s\n", style="bold"
+    )
     console.print(_table(["state", "start", "target", "end", "end, continuous law"], _states(simulation)))
     console.print()
     console.print(_table(["input", "smallest", "largest", "end", "limits"], _inputs(simulation)))
     console.print()
-    console.print(f"Picture: {plot}" if plot else "Next: --plot loop.png draws it", soft_wrap=True)
+    console.print(f"Picture: {plot}" if plot else "Next: add --plot loop.png for a picture", soft_wrap=True)
 
 
 def _table(headers: list[str], signals: list[dict[str, Any]]) -> Table:

@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import os
+import re
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -34,12 +35,20 @@ def deliver(outcome: Outcome) -> None:
     """Print a result. A reader that closes the pipe early has read enough."""
     try:
         if outcome.document is None:
-            outcome.show(console())
+            print(_rendered(outcome), end="")
         else:
             print_document(outcome.document)
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _rendered(outcome: Outcome) -> str:
+    """The text for people, without the blanks that fill up the rows of its tables."""
+    target = console()
+    with target.capture() as captured:
+        outcome.show(target)
+    return re.sub(r" +$", "", captured.get(), flags=re.MULTILINE)
 
 
 def print_document(document: Mapping[str, Any]) -> None:

@@ -56,43 +56,48 @@ def _show(console: Console, validation: Validation, model: str) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    title = f"{validation.design}: {validation.precision}, h = {float(validation.sample_period):g} s"
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 2, 0, 0))
-    for header in ("test", "", "figures"):
-        table.add_column(header)
-    for test, passed, figures in _rows(validation):
-        table.add_row(test, Text("passed" if passed else "FAILED", "green" if passed else "bold red"), figures)
+    period = float(validation.sample_period)
+    console.print(f"{validation.design}: the C in {validation.precision}, h = {period:g} s\n", style="bold")
+    table = Table.grid(padding=(0, 2, 0, 0))
+    for passed, test, figures in _rows(validation):
+        verdict = Text("passed" if passed else "FAILED", "green" if passed else "bold red")
+        table.add_row(verdict, Text.assemble((test, "bold"), *(f"\n{line}" for line in figures)))
     console.print(table)
     console.print()
     if validation.passed:
-        console.print("The C computes what the Python step computes, and follows the continuous law.", style="bold")
+        console.print(
+            "The C computes what the Python step computes, and follows the continuous law.", style="bold green"
+        )
         console.print(f"Next: pbcgen simulate {model} --plot loop.png", soft_wrap=True)
     else:
         console.print("The C did not validate: do not use it.", style="bold red")
-        console.print(f"Next: pbcgen validate {model} --json shows all figures, the worst sample among them")
+        console.print(
+            f"Next: pbcgen validate {model} --json for all figures, the worst step among them", soft_wrap=True
+        )
 
 
-def _rows(validation: Validation) -> Iterator[tuple[str, bool, str]]:
-    yield "C against Python", validation.agreement.passed, _agreement(validation.agreement)
-    yield "sampled against continuous", validation.convergence.passed, _convergence(validation.convergence)
+def _rows(validation: Validation) -> Iterator[tuple[bool, str, list[str]]]:
+    yield validation.agreement.passed, "C against the Python step", _agreement(validation.agreement)
+    yield validation.convergence.passed, "sampled against the continuous loop", _convergence(validation.convergence)
     for output in validation.outputs:
         low, high = (float(bound) for bound in output.interval)
-        figures = f"{output.smallest:.6g} to {output.largest:.6g} in [{low:.6g}, {high:.6g}]"
-        yield f"limits of {output.name}", output.passed, f"{figures}, {output.samples} values"
+        figures = f"{output.smallest:.6g} to {output.largest:.6g} in [{low:.6g}, {high:.6g}], {output.samples} values"
+        yield output.passed, f"{output.name} in its interval", [figures]
 
 
-def _agreement(agreement: Agreement) -> str:
+def _agreement(agreement: Agreement) -> list[str]:
     lines = [
         f"closed loop, {agreement.trajectory_samples} steps: "
-        f"u {agreement.trajectory_u_ulp:.1f} ulp, state {agreement.trajectory_xi_ulp:.1f} ulp",
-        f"random and special, {agreement.samples} steps: u {agreement.u_ulp:.3g} ulp, state {agreement.xi_ulp:.3g} ulp",
-        f"at most {agreement.share:.0%} of the error that rounding explains",
+        f"u {agreement.trajectory_u_ulp:.3g} ulp, state {agreement.trajectory_xi_ulp:.3g} ulp",
+        f"random and special inputs, {agreement.samples} steps: u {agreement.u_ulp:.3g} ulp, "
+        f"state {agreement.xi_ulp:.3g} ulp",
+        f"at most {agreement.share:.2g} of the difference that rounding can make",
     ]
     if agreement.status_mismatches:
         lines.append(f"{agreement.status_mismatches} steps return another status")
-    return "\n".join(lines)
+    return lines
 
 
-def _convergence(convergence: Convergence) -> str:
+def _convergence(convergence: Convergence) -> list[str]:
     errors = ", ".join(f"{error:.2e}" for error in convergence.errors)
-    return f"error at h, h/2, h/4: {errors}\n{convergence.note}"
+    return [f"error at h, h/2, h/4: {errors}", convergence.note]

@@ -46,4 +46,5 @@ def report(*, control: object = "a law", **statuses: Status) -> Report:
         loop=None,
         model_hash="0" * 64,
         timings={"derive": 0.5},
+        derivation=None,  # type: ignore[arg-type]
     )

@@ -18,7 +18,7 @@ def check(monkeypatch, capsys):
 
     def _check(*arguments, width=80, **verdicts):
         monkeypatch.setenv("COLUMNS", str(width))
-        monkeypatch.setattr(pipeline, "check", lambda design, progress: fake_report.report(**verdicts), raising=False)
+        monkeypatch.setattr(pipeline, "check", lambda design, progress: fake_report.report(**verdicts))
         code = cli.execute(["check", "rlc", *arguments])
         return code, capsys.readouterr().out
 
@@ -132,7 +132,7 @@ def test_what_libraries_print_does_not_reach_the_document(monkeypatch, capsys):
         print("a warning from a library")
         return fake_report.report()
 
-    monkeypatch.setattr(pipeline, "check", noisy, raising=False)
+    monkeypatch.setattr(pipeline, "check", noisy)
     assert cli.execute(["check", "rlc", "--json"]) == 0
     captured = capsys.readouterr()
     json.loads(captured.out)

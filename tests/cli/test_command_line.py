@@ -104,7 +104,7 @@ def test_each_kind_of_error_has_its_exit_code(execute, monkeypatch, error, code)
     def failing(design, progress):
         raise error
 
-    monkeypatch.setattr(pipeline, "check", failing, raising=False)
+    monkeypatch.setattr(pipeline, "check", failing)
     assert execute("check", "rlc") == (code, "", "Error: m\n")
 
 
@@ -112,7 +112,7 @@ def test_a_defect_asks_for_a_report_and_shows_its_traceback_only_when_asked(exec
     def failing(design, progress):
         raise RuntimeError("[bold]what?")
 
-    monkeypatch.setattr(pipeline, "check", failing, raising=False)
+    monkeypatch.setattr(pipeline, "check", failing)
     code, out, err = execute("check", "rlc")
     assert (code, out) == (1, "")
     assert "defect in pbcgen, not in your model: RuntimeError: [bold]what?" in err
