@@ -1,21 +1,35 @@
 """The stages from a design to validated C, one function each.
 
-    check     design  -> Report      verdicts, derived quantities, the discretised law
-    generate  design  -> Package     the C files, when the claims allow it
-    validate  design  -> Validation  the compiled C against the Python step and the continuous reference
-    simulate  design  -> Simulation  the closed loop, continuous and sampled
+check     design  -> Report      verdicts, derived quantities, the discretised law
+generate  design  -> Generated   the C files, when the claims allow it
+validate  design  -> Validation  the compiled C against the Python step and the continuous reference
+simulate  design  -> Simulation  the closed loop, continuous and sampled
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from fractions import Fraction
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
 
 from pbcgen.control.closed_loop import ClosedLoop
+from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.law import ControlLaw
+from pbcgen.emit import Package, Provenance, render
+from pbcgen.errors import NotProved
 from pbcgen.models.design import Design
+from pbcgen.models.identity import model_hash
 from pbcgen.proof.claim import EMISSION_CLAIMS, Claim, Status
+
+if TYPE_CHECKING:
+    from pbcgen.run.simulate import Trajectory
+    from pbcgen.run.validate import Validation
+
+Progress = Callable[[str], None] | None
 
 
 @dataclass(frozen=True)
@@ -39,6 +53,7 @@ class Report:
     loop: ClosedLoop | None
     model_hash: str
     timings: Mapping[str, float]
+    derivation: Derivation
 
     def blocking(self, allow: Sequence[str] = ()) -> tuple[Claim, ...]:
         """The claims that forbid code: not PROVED and not allowed by name."""
@@ -63,3 +78,137 @@ class Report:
             "emittable": self.emittable,
             "timings": dict(self.timings),
         }
+
+
+@dataclass(frozen=True)
+class Generated:
+    """A package, the report that it rests on, and where it was written."""
+
+    package: Package
+    report: Report
+    directory: Path
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """The closed loop from the design's initial state.
+
+    Attributes:
+        continuous: the law of the paper.
+        sampled: the generated C under zero-order hold.
+        intervals: of the inputs.
+        report: the check.
+    """
+
+    continuous: Trajectory
+    sampled: Trajectory
+    intervals: tuple[tuple[Fraction, Fraction], ...]
+    report: Report
+
+
+def check(design: Design, progress: Progress = None) -> Report:
+    """Derive and decide everything that can be said of the design. Raises ModelError for an inconsistent model."""
+    start = perf_counter()
+    derivation = derive(design, progress)
+    timings = {**derivation.timings, "total": perf_counter() - start}
+    return Report(
+        design,
+        derivation.claims,
+        derivation.derived,
+        derivation.control_law(design.sample_period, design.precision),
+        derivation.loop,
+        model_hash(design),
+        {name: round(seconds, 6) for name, seconds in timings.items()},
+        derivation,
+    )
+
+
+def package(report: Report, *, prefix: str | None = None, allow: Sequence[str] = ()) -> Package:
+    """The C package of a checked design. Raises NotProved when a claim that it needs is open."""
+    blocking = report.blocking(allow)
+    if blocking or report.control is None:
+        raise NotProved(_refusal(report, blocking))
+    allowed = tuple(sorted(c.claim for c in report.claims if c.claim in allow and c.status is not Status.PROVED))
+    provenance = Provenance(
+        report.model_hash,
+        tuple((c.claim, str(c.status), c.domain) for c in report.claims),
+        allowed,
+        derived=report.derived,
+    )
+    return render(report.control, provenance, prefix, {"certificate.json": certificate(report)})
+
+
+def certificate(report: Report) -> str:
+    """The claims with what they rest on, as canonical JSON tied to the model by its hash."""
+    document = {
+        "model_hash": report.model_hash,
+        "design": report.design.name,
+        "law": report.design.law.name,
+        "claims": [{**c.as_json(), "certificate": dict(c.certificate)} for c in report.claims],
+    }
+    return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=True) + "\n"
+
+
+def _refusal(report: Report, blocking: Sequence[Claim]) -> str:
+    lines = [f"no code for `{report.design.name}`: these claims are not PROVED"]
+    lines += [f"  {c.claim} is {c.status}: {c.evidence}" + (f"; {c.hint}" if c.hint else "") for c in blocking]
+    if not blocking or any(c.claim in ("equilibrium", "measurability") for c in blocking):
+        lines.append("  without them there is no law to emit, so --allow does not help")
+    else:
+        lines.append("  to emit all the same, name them: " + " ".join(f"--allow {c.claim}" for c in blocking))
+    return "\n".join(lines)
+
+
+def generate(
+    design: Design,
+    directory: Path,
+    *,
+    prefix: str | None = None,
+    allow: Sequence[str] = (),
+    progress: Progress = None,
+) -> Generated:
+    """Check the design and write its C package.
+
+    Raises:
+        NotProved: a claim that code needs is neither PROVED nor allowed.
+        EmitError: the directory holds files of others, or a constant does not fit the precision.
+        ModelError: the model is inconsistent.
+    """
+    report = check(design, progress)
+    rendered = package(report, prefix=prefix, allow=allow)
+    rendered.write(directory)
+    return Generated(rendered, report, directory)
+
+
+def validate(
+    design: Design, *, allow: Sequence[str] = (), progress: Progress = None, steps: int | None = None
+) -> Validation:
+    """Compile the C of the design and test it; see :func:`pbcgen.run.validate.validate`."""
+    from pbcgen.run.validate import validate as run
+
+    report = check(design, progress)
+    rendered = package(report, allow=allow)
+    assert report.control is not None and report.loop is not None
+    more = {} if steps is None else {"steps": steps}
+    return run(report.control, rendered, report.loop, report.derivation.relaw, progress=progress, **more)
+
+
+def simulate(design: Design, *, allow: Sequence[str] = (), progress: Progress = None) -> Simulation:
+    """Run the closed loop with the continuous law and with the generated C."""
+    import numpy as np
+
+    from pbcgen.run.simulate import simulate_continuous, simulate_sampled
+    from pbcgen.run.wrapper import Controller
+
+    report = check(design, progress)
+    rendered = package(report, allow=allow)
+    assert report.control is not None and report.loop is not None
+    times = np.linspace(0.0, report.loop.duration, 2001)
+    if progress:
+        progress("continuous closed loop")
+    continuous = simulate_continuous(report.loop, times)
+    if progress:
+        progress("sampled closed loop")
+    with Controller.of_package(rendered) as controller:
+        sampled = simulate_sampled(report.loop, controller, design.sample_period, report.loop.duration)
+    return Simulation(continuous, sampled, report.control.intervals, report)

@@ -1,0 +1,406 @@
+"""From a design to its derivation: every claim, every derived quantity, and the law as formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from time import perf_counter
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from pbcgen.control.closed_loop import ClosedLoop
+from pbcgen.control.graph import Interface, LawGraph, Needs, build, control_law, needs
+from pbcgen.control.law import ControlLaw, Precision, Signal
+from pbcgen.control.linearisation import ClosedLoopSlope
+from pbcgen.control.measure import Measurement
+from pbcgen.control.saturation import Saturation, saturation
+from pbcgen.control.stability import StabilityVerdicts, stability
+from pbcgen.errors import ModelError, UnsupportedOperation
+from pbcgen.models.design import Design
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import gains as gains_of
+from pbcgen.passivity import passive_output
+from pbcgen.passivity.dissipation import NaturalDampingBounds, ThetaVerdict, assumption_3, theta
+from pbcgen.passivity.equilibrium import Equilibrium, complete, input_rank
+from pbcgen.passivity.passive_output import PassiveOutput as PassiveOutputResult
+from pbcgen.passivity.plant import Plant, Point
+from pbcgen.passivity.shaping import (
+    HessianVerdict,
+    Shape,
+    gain_definiteness,
+    gradient_condition,
+    hessian_conditions,
+    shape_at,
+)
+from pbcgen.passivity.storage import Storage, assumption_1
+from pbcgen.proof.claim import CLAIMS, Claim, Status
+from pbcgen.symbolic.display import formula
+from pbcgen.symbolic.real import approximate
+
+Progress = Callable[[str], None] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Derivation:
+    """Everything that was derived of a design.
+
+    Attributes:
+        design: the design.
+        plant: its system as formulas.
+        law: the law with resolved gains, or None if eta is missing.
+        claims: verdicts in the order of CLAIMS.
+        derived: quantities for people and JSON.
+        point: x* and u*, or None.
+        graph: the law as formulas, or None when it cannot be written.
+        interface: names and bounds for the package, or None likewise.
+        loop: for simulation, or None likewise.
+        timings: seconds of each stage.
+        gamma, eta: expressions, or None.
+    """
+
+    design: Design
+    plant: Plant
+    law: Law | None
+    claims: tuple[Claim, ...]
+    derived: Mapping[str, Any]
+    point: Point | None
+    graph: LawGraph | None
+    interface: Interface | None
+    loop: ClosedLoop | None
+    timings: Mapping[str, float]
+    gamma: ca.SX | None
+    eta: ca.SX | None
+
+    def control_law(self, h: Fraction, precision: Precision) -> ControlLaw | None:
+        """The law discretised with sample period h, or None when there is no law to discretise."""
+        if self.graph is None or self.interface is None:
+            return None
+        return control_law(self.graph, self.interface, h, precision)
+
+    def relaw(self, h: Fraction) -> ControlLaw:
+        """The law discretised with another sample period, in double precision."""
+        law = self.control_law(h, "double")
+        if law is None:
+            raise ModelError(f"the design `{self.design.name}` has no law to discretise")
+        return law
+
+
+@dataclass
+class _Stages:
+    """What the stages have found so far."""
+
+    claims: dict[str, Claim]
+    timings: dict[str, float]
+    progress: Progress
+
+    def run(self, name: str, stage: Callable[[], Any]) -> Any:
+        if self.progress:
+            self.progress(name)
+        start = perf_counter()
+        result = stage()
+        self.timings[name] = perf_counter() - start
+        return result
+
+    def add(self, *claims: Claim) -> None:
+        for claim in claims:
+            self.claims[claim.claim] = claim
+
+    def open(self, name: str, why: str, hint: str) -> None:
+        self.claims.setdefault(name, Claim(name, Status.UNDECIDED, "at x*", "not reached", why, hint))
+
+
+def derive(design: Design, progress: Progress = None) -> Derivation:
+    """Run every stage as far as the earlier ones allow.
+
+    Raises ModelError for designs that no verdict can describe, such as potential compensation without G = I.
+    """
+    plant = Plant(design.system)
+    _check_compensation(plant, design.law)
+    stages = _Stages({}, {}, progress)
+    equilibrium: Equilibrium = stages.run("equilibrium", lambda: complete(plant, design))
+    storage: Storage = stages.run("assumption-1", lambda: assumption_1(plant))
+    stages.add(equilibrium.claim, storage.claim)
+    found = stages.run("passive output", lambda: passive_output.find(plant, storage.structure, storage.proved))
+    output = found if isinstance(found, PassiveOutputResult) else None
+    stages.add(output.claim if output else found)
+    bounds = None
+    if output is not None and _base(design.law).name == NaturalDamping.name:
+        bounds = stages.run(
+            "natural damping",
+            lambda: assumption_3(plant, storage.structure, output.gamma, output.matched, storage.proved),
+        )
+        stages.add(bounds.claim)
+    eta = bounds.eta if bounds is not None else None
+    law = _resolve(design, eta)
+    numbers: dict[str, Any] = _formulas(plant, output, eta)
+    theta_verdict = None
+    if bounds is not None and isinstance(_base(law), NaturalDamping):
+        theta_verdict = theta(bounds, _base(law))
+        stages.add(theta_verdict.claim)
+    at_target = None
+    if equilibrium.point is not None:
+        at_target = _AtTarget(plant, design, law, equilibrium.point, output, storage, eta)
+        numbers |= stages.run("at the target", lambda: at_target.decide(stages))
+    numbers |= _bounds_as_numbers(bounds, theta_verdict)
+    _fill(stages, law, equilibrium, output)
+    ordered = tuple(stages.claims[name] for name in CLAIMS if name in stages.claims)
+    graph = at_target.graph if at_target else None
+    interface = at_target.interface if at_target else None
+    loop = _closed_loop(plant, design, graph, equilibrium.point) if graph and equilibrium.point else None
+    return Derivation(
+        design,
+        plant,
+        law,
+        ordered,
+        {**_EMPTY, **numbers},
+        equilibrium.point,
+        graph,
+        interface,
+        loop,
+        stages.timings,
+        output.gamma if output else None,
+        eta,
+    )
+
+
+_EMPTY: Mapping[str, Any] = {
+    "kappa": [],
+    "gamma": [],
+    "gamma_star": [],
+    "eta": [],
+    "x_star": [],
+    "hessian_min_eigenvalue": None,
+    "alpha_beta_min": None,
+    "kc_min": None,
+    "theta_bound": None,
+    "input_intervals": [],
+    "spectral_abscissa": None,
+    "max_sample_period": None,
+}
+
+
+def _base(law: Law) -> Law:
+    return law.base if isinstance(law, Integral) else law
+
+
+def _resolve(design: Design, eta: ca.SX | None) -> Law:
+    size = None if eta is None else int(eta.numel())
+    return design.law.resolve(design.system.m, size)
+
+
+def _check_compensation(plant: Plant, law: Law) -> None:
+    """Law (umec) cancels grad V with u, which takes G = I."""
+    mechanics = plant.system.mechanical
+    if not isinstance(_base(law), PotentialCompensation) or mechanics is None:
+        return
+    size = plant.system.n // 2
+    message = "potential-compensation needs G = I (an actuator on every joint): use DynamicExtension for this system"
+    if mechanics.G.shape != (size, size):
+        raise ModelError(message)
+    try:
+        field, (difference,) = plant.exact(mechanics.G - ca.SX.eye(size))
+    except UnsupportedOperation:
+        raise ModelError(message) from None
+    if any(not entry.is_zero() for row in difference.dense(field.const(0)) for entry in row):
+        raise ModelError(message)
+
+
+def _formulas(plant: Plant, output: PassiveOutputResult | None, eta: ca.SX | None) -> dict[str, Any]:
+    """gamma and eta as text with the parameters' names."""
+    result: dict[str, Any] = {}
+    for name, expression in (("gamma", output.gamma if output else None), ("eta", eta)):
+        if expression is None or expression.numel() == 0:
+            continue
+        try:
+            field, (values,) = plant.exact(expression, symbolic=True)
+        except (UnsupportedOperation, ZeroDivisionError):
+            result[name] = [str(e) for e in ca.vertsplit(expression)]
+            continue
+        result[name] = [formula(v, plant.parameter_positions()) for v in values.column(field.const(0))]
+    return result
+
+
+def _bounds_as_numbers(bounds: NaturalDampingBounds | None, verdict: ThetaVerdict | None) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    if bounds is not None and bounds.Lambda_l is not None and bounds.Lambda_c is not None:
+        result["Lambda_l"] = [approximate(v) for v in bounds.Lambda_l]
+        result["Lambda_c"] = [approximate(v) for v in bounds.Lambda_c]
+    if verdict is not None:
+        result["theta_bound"] = verdict.smallest
+    return result
+
+
+class _AtTarget:
+    """The stages that need x*."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        design: Design,
+        law: Law,
+        point: Point,
+        output: PassiveOutputResult | None,
+        storage: Storage,
+        eta: ca.SX | None,
+    ) -> None:
+        self.plant, self.design, self.law, self.point = plant, design, law, point
+        self.output, self.storage, self.eta = output, storage, eta
+        self.graph: LawGraph | None = None
+        self.interface: Interface | None = None
+
+    def decide(self, stages: _Stages) -> dict[str, Any]:
+        """Add the claims at x* and return the derived numbers."""
+        system = self.plant.system
+        stages.add(input_rank(self.plant, self.point))
+        numbers: dict[str, Any] = {
+            "x_star": [approximate(v) for v in self.point.x],
+            "kappa": [-approximate(v) or 0.0 for v in self.point.u],
+        }
+        if self.output is None:
+            return numbers
+        (gamma_star,) = self.plant.at(self.point, self.output.gamma)
+        numbers["gamma_star"] = [approximate(row[0]) for row in gamma_star]
+        numbers |= self._shape(stages)
+        limits = saturation(self.plant, self.design, self.law, self.point)
+        stages.add(limits.claim)
+        numbers["input_intervals"] = [
+            None if r is None else [approximate(r.lo), approximate(r.hi)] for r in limits.ranges
+        ]
+        measurement = Measurement.of(self.plant, self.point)
+        read = needs(self.plant, measurement, self.law, self.output.gamma, self.eta)
+        stages.add(self._measurability(read))
+        intervals = limits.intervals(self.design)
+        lacks_eta = isinstance(_base(self.law), NaturalDamping) and self.eta is None
+        if read.missing or lacks_eta:
+            return numbers
+        self.graph = build(self.law, measurement, self.point, read)
+        loop = ClosedLoopSlope.of(self.plant, self.point, self.graph)
+        verdicts: StabilityVerdicts = stages.run(
+            "stability", lambda: stability(loop, self.law, stages.claims, self.design.sample_period)
+        )
+        stages.add(*verdicts.claims)
+        if intervals is not None and all(lo < hi for lo, hi in intervals):
+            self.interface = _interface(self.design, self.point, intervals)
+        numbers["spectral_abscissa"] = verdicts.spectral_abscissa
+        numbers["spectral_radius"] = verdicts.spectral_radius
+        numbers["max_sample_period"] = verdicts.max_sample_period
+        numbers["state_names"] = list(system.state_names)
+        return numbers
+
+    def _shape(self, stages: _Stages) -> dict[str, Any]:
+        assert self.output is not None
+        base = _base(self.law)
+        shape: Shape = shape_at(
+            self.plant, self.point, self.output.gamma, compensated=isinstance(base, PotentialCompensation)
+        )
+        structure = self.storage.structure if self.output.matched and self.storage.proved else None
+        stages.add(gradient_condition(self.plant, self.point, shape, structure))
+        alpha, beta = (
+            (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)  # type: ignore[union-attr]
+        )
+        K_c = None if isinstance(base, PassiveOutput) else base.K_c  # type: ignore[union-attr]
+        stiffness = tuple(a * b for a, b in zip(alpha, beta, strict=True))
+        verdict: HessianVerdict = hessian_conditions(self.plant, shape, stiffness, K_c)
+        stages.add(verdict.hessian)
+        matrices = {k: v for k, v in gains_of(self.law).items() if k in ("K_c", "R_c", "K_l", "R_l")}
+        if matrices:
+            stages.add(gain_definiteness(matrices))  # type: ignore[arg-type]
+        if K_c is not None:
+            stages.add(verdict.kc)
+        minimum = verdict.alpha_beta_min
+        return {
+            "hessian_min_eigenvalue": verdict.smallest_eigenvalue,
+            "alpha_beta_min": None if minimum is None else list(minimum) if len(minimum) > 1 else minimum[0],
+            "kc_min": verdict.kc_min if K_c is not None else None,
+        }
+
+    def _measurability(self, read: Needs) -> Claim:
+        names = ", ".join(self.plant.system.measured_names)
+        if isinstance(_base(self.law), NaturalDamping) and self.eta is None:
+            return Claim(
+                "measurability",
+                Status.UNDECIDED,
+                "all x",
+                "exact linear algebra",
+                "no eta was found, so there is nothing to measure",
+                "give eta=... with the model",
+            )
+        if not read.missing:
+            return Claim(
+                "measurability",
+                Status.PROVED,
+                "all x",
+                "exact identities",
+                f"the law is a function of the measured signals {names}",
+            )
+        first = read.missing[0]
+        status = Status.REFUTED if first.direction else Status.UNDECIDED
+        hint = f"measure what {first.signal} depends on, or use a law that does not need it"
+        counterexample = {"signal": first.signal, "direction": first.direction} if first.direction else None
+        return Claim("measurability", status, "all x", "exact identities", first.reason, hint, counterexample)
+
+
+def _interface(design: Design, point: Point, intervals: tuple[tuple[Fraction, Fraction], ...]) -> Interface:
+    system = design.system
+    units = system.units
+    inputs = tuple(Signal(name, units.get(name, ""), "measured") for name in system.measured_names)
+    outputs = tuple(Signal(name, units.get(name, ""), "actuator") for name in system.input_names)
+    ranges = {
+        name: (lo, hi)
+        for name, (lo, hi) in system.domain.items()
+        if name in system.measured and lo is not None and hi is not None
+    }
+    equilibrium = tuple(
+        min(max(approximate(u), float(lo)), float(hi)) for u, (lo, hi) in zip(point.u, intervals, strict=True)
+    )
+    return Interface(design.name or "controller", inputs, outputs, intervals, equilibrium, ranges)
+
+
+def _closed_loop(plant: Plant, design: Design, graph: LawGraph, point: Point) -> ClosedLoop:
+    """Numeric functions of plant, sensors and continuous law."""
+    system = plant.system
+    values = np.array([float(plant.values[n]) for n in system.parameters.names])
+
+    def at_values(expression: ca.SX) -> ca.SX:
+        return ca.substitute(expression, ca.SX(system.parameters.symbols), values) if len(values) else expression
+
+    measured = at_values(system.measured_expressions)
+    rate, u = graph.rounded(*graph.continuous)
+    of_state = [ca.substitute(e, graph.m, measured) if e.numel() else e for e in (rate, u)]
+    return ClosedLoop(
+        ca.Function("plant", [system.x, system.u], [at_values(system.xdot)], ["x", "u"], ["xdot"]),
+        ca.Function("measure", [system.x], [measured], ["x"], ["m"]),
+        ca.Function("controller", [system.x, graph.xi], of_state, ["x", "xi"], ["rate", "u"]),
+        None,
+        np.array([approximate(v) for v in point.x]),
+        np.array([approximate(v) for v in point.u]),
+        graph.names,
+        np.array([float(v) for v in design.initial]),
+        float(design.duration),
+        system.state_names,
+        tuple(system.units.get(n, "") for n in system.state_names),
+        system.input_names,
+        tuple(system.units.get(n, "") for n in system.input_names),
+    )
+
+
+def _fill(stages: _Stages, law: Law, equilibrium: Equilibrium, output: PassiveOutputResult | None) -> None:
+    """Claims that were not reached are UNDECIDED with the reason."""
+    if equilibrium.point is None:
+        why, hint = "there is no equilibrium to work at", equilibrium.claim.hint or "mend the claim `equilibrium`"
+    elif output is None:
+        why, hint = "there is no gamma to work with", "mend the claim `passive-output`"
+    else:
+        why, hint = "the law cannot be written in the measured signals", "mend the claim `measurability`"
+    base = _base(law)
+    skipped = set()
+    if not isinstance(base, NaturalDamping):
+        skipped |= {"assumption-3", "theta"}
+    if isinstance(base, PassiveOutput):
+        skipped |= {"gain-definiteness", "kc-bound"}
+    for name in CLAIMS:
+        if name not in skipped:
+            stages.open(name, why, hint)

@@ -1,0 +1,157 @@
+"""The stability claims: by the Lyapunov function of the paper, by linearisation, and for the sampled loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+from pbcgen.control.linearisation import ClosedLoopSlope
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput
+from pbcgen.proof.claim import Claim, Status
+from pbcgen.proof.spectrum import Stability, hurwitz, schur
+from pbcgen.symbolic.real import Real, approximate
+
+_LINEARISATION = "linearisation: characteristic polynomial and Routh array in exact or ball arithmetic"
+
+
+@dataclass(frozen=True)
+class StabilityVerdicts:
+    """The claims, and the spectral figures for display."""
+
+    claims: tuple[Claim, ...]
+    spectral_abscissa: float
+    spectral_radius: float
+    max_sample_period: float | None
+
+
+def lyapunov_premises(law: Law) -> tuple[str, ...]:
+    """The claims that together make x* stable by Prop. pro1, pro2 or pro4; none for laws without such a proof."""
+    if isinstance(law, Integral):
+        return ()
+    common = ("assumption-1", "passive-output", "gradient-condition", "hessian-condition")
+    if isinstance(law, PassiveOutput):
+        return common
+    filtered = (*common, "gain-definiteness", "kc-bound")
+    return (*filtered, "assumption-3", "theta") if isinstance(law, NaturalDamping) else filtered
+
+
+def stability(loop: ClosedLoopSlope, law: Law, found: Mapping[str, Claim], h: Fraction) -> StabilityVerdicts:
+    """Decide `stable`, `asymptotically-stable`, `globally-asymptotically-stable` and `sampled-stable`."""
+    continuous = hurwitz(loop.continuous())
+    sampled = schur(loop.sampled(h))
+    largest = loop.scan(h)
+    premises = lyapunov_premises(law)
+    missing = [name for name in premises if found[name].status is not Status.PROVED]
+    by_lyapunov = bool(premises) and not missing
+    asymptotic = _asymptotic(continuous, by_lyapunov, missing, law)
+    claims = (
+        _stable(continuous, by_lyapunov, premises, missing),
+        asymptotic,
+        _global(missing, law),
+        _sampled(sampled, h, largest, asymptotic),
+    )
+    return StabilityVerdicts(claims, continuous.extreme, sampled.extreme, largest)
+
+
+def _certificate(verdict: Stability) -> dict[str, object]:
+    return {"routh": [f"{approximate(v):.17g}" for v in verdict.routh]}
+
+
+def _stable(continuous: Stability, by_lyapunov: bool, premises: Sequence[str], missing: Sequence[str]) -> Claim:
+    if by_lyapunov:
+        return Claim("stable", Status.PROVED, "near x*", "Lyapunov function", "follows from " + ", ".join(premises))
+    if continuous.status is Status.PROVED:
+        evidence = f"spectral abscissa {continuous.extreme:.6g}; the Lyapunov route is {_why_not(missing)}"
+        return Claim("stable", Status.PROVED, "near x*", _LINEARISATION, evidence, certificate=_certificate(continuous))
+    if continuous.status is Status.REFUTED:
+        return _unstable("stable", continuous)
+    return Claim(
+        "stable",
+        Status.UNDECIDED,
+        "near x*",
+        "Lyapunov function and linearisation",
+        f"an eigenvalue lies on the imaginary axis or too close to it; the Lyapunov route is {_why_not(missing)}",
+        _first_hint(missing),
+    )
+
+
+def _why_not(missing: Sequence[str]) -> str:
+    return "open for " + ", ".join(missing) if missing else "not available for this law"
+
+
+def _first_hint(missing: Sequence[str]) -> str:
+    return f"satisfy {missing[0]}" if missing else "add damping to the mode on the imaginary axis"
+
+
+def _asymptotic(continuous: Stability, by_lyapunov: bool, missing: Sequence[str], law: Law) -> Claim:
+    if continuous.status is Status.PROVED:
+        route = "the Lyapunov route holds too" if by_lyapunov else f"the Lyapunov route is {_why_not(missing)}"
+        return Claim(
+            "asymptotically-stable",
+            Status.PROVED,
+            "near x*",
+            _LINEARISATION,
+            f"spectral abscissa {continuous.extreme:.6g}; {route}",
+            certificate=_certificate(continuous),
+        )
+    if continuous.status is Status.REFUTED:
+        return _unstable("asymptotically-stable", continuous)
+    return Claim(
+        "asymptotically-stable",
+        Status.UNDECIDED,
+        "near x*",
+        _LINEARISATION,
+        f"the linearisation does not decide: spectral abscissa {continuous.extreme:.6g}",
+        "add damping that reaches the slow mode, or choose another target",
+    )
+
+
+def _unstable(claim: str, continuous: Stability) -> Claim:
+    return Claim(
+        claim,
+        Status.REFUTED,
+        "near x*",
+        _LINEARISATION,
+        f"the linearised closed loop has an eigenvalue with real part {continuous.extreme:.6g} > 0",
+        "satisfy hessian-condition and kc-bound; raise alpha*beta where the target is unstable without control",
+        {"spectral_abscissa": f"{continuous.extreme:.9g}"},
+    )
+
+
+def _global(missing: Sequence[str], law: Law) -> Claim:
+    """Not attempted yet: local claims never imply it."""
+    what = "needs assumption-1 and the invariant set on the whole space, and a radially unbounded Lyapunov function"
+    if isinstance(law, Integral):
+        what = "linearisation gives local stability only"
+    return Claim(
+        "globally-asymptotically-stable",
+        Status.UNDECIDED,
+        "all x",
+        "not attempted",
+        what,
+        "rely on the local claim, or simulate from the initial states that matter",
+    )
+
+
+def _sampled(sampled: Stability, h: Fraction, largest: float | None, asymptotic: Claim) -> Claim:
+    method = "exact zero-order hold, linearised implicit step, Routh array after a Moebius map, in ball arithmetic"
+    limit = "no limit found" if largest is None else f"largest stable h about {largest:.4g} s"
+    evidence = f"h = {float(h):.6g} s: spectral radius {sampled.extreme:.9g}; {limit} (estimate)"
+    if sampled.status is Status.PROVED:
+        return Claim(
+            "sampled-stable", Status.PROVED, "sampled loop", method, evidence, certificate=_certificate(sampled)
+        )
+    if asymptotic.status is not Status.PROVED:
+        hint = "satisfy asymptotically-stable first"
+    elif largest:
+        hint = f"sample faster than {largest:.4g} s, or lower alpha*beta, or model the friction that the plant has"
+    else:
+        hint = "lower the gains alpha*beta and R_c, or model the friction that the plant has"
+    counterexample = {"spectral_radius": f"{sampled.extreme:.9g}"} if sampled.status is Status.REFUTED else None
+    return Claim("sampled-stable", sampled.status, "sampled loop", method, evidence, hint, counterexample)
+
+
+def figures(values: Sequence[Real]) -> list[float]:
+    """Numbers for JSON."""
+    return [approximate(v) for v in values]
