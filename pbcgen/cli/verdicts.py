@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -23,13 +24,16 @@ _STYLES = {Status.PROVED: "green", Status.REFUTED: "bold red", Status.UNDECIDED:
 #: Room for the longest claim; the domain stands behind it.
 _CLAIM_WIDTH = 30
 
+#: A line of x* is no longer than this, so that it stands beside its name on 80 columns.
+_POINT_WIDTH = 50
+
 #: The derived quantities that are single numbers or lists: key of the JSON document, what it is called here.
 _QUANTITIES = (
     ("kappa", "kappa"),
     ("gamma", "gamma"),
     ("gamma_star", "gamma at x*"),
     ("eta", "eta"),
-    ("hessian_min_eigenvalue", "smallest eigenvalue of the Hessian"),
+    ("hessian_min_eigenvalue", "least Hessian eigenvalue"),
     ("alpha_beta_min", "alpha beta must exceed"),
     ("kc_min", "K_c must exceed"),
     ("theta_bound", "bound of Theta"),
@@ -94,7 +98,10 @@ def _derived(report: Report) -> Iterator[tuple[str, str]]:
 
 
 def _named(names: Sequence[str], values: Sequence[Any]) -> str:
-    return ", ".join(f"{name} = {_figure(value)}" for name, value in zip(names, values, strict=True))
+    """One assignment after the other; a line ends only between two of them."""
+    pairs = (f"{name} = {_figure(value)}" for name, value in zip(names, values, strict=True))
+    together = ", ".join(pair.replace(" ", "\0") for pair in pairs)
+    return textwrap.fill(together, _POINT_WIDTH, break_long_words=False).replace("\0", " ")
 
 
 def _figure(value: Any) -> str:
@@ -110,16 +117,18 @@ def _figure(value: Any) -> str:
 
 def meaning(report: Report) -> str:
     """The verdicts in one sentence."""
+    if report.emittable and "globally-asymptotically-stable" in _proved(report):
+        return "Proved: the loop settles at x* from everywhere, sampled from nearby, within its limits."
     if report.emittable:
-        everywhere = any(
-            c.claim == "globally-asymptotically-stable" and c.status is Status.PROVED for c in report.claims
-        )
-        where = "from everywhere" if everywhere else "from near x*"
-        return f"Proved: the loop settles at x* {where}, also sampled, and every input keeps its limits."
+        return "Proved: from nearby the loop settles at x*, sampled too, within its limits."
     blocking = report.blocking()
     if not blocking:
         return "No code: the derivation stopped before it had a controller."
     return f"No code: {' and '.join(f'{c.claim} is {c.status}' for c in blocking)}."
+
+
+def _proved(report: Report) -> set[str]:
+    return {claim.claim for claim in report.claims if claim.status is Status.PROVED}
 
 
 def next_steps(report: Report, model: str) -> list[str]:
