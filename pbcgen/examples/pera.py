@@ -13,6 +13,10 @@ p = Parameters(
     I_1="0.0054",  # moments of inertia, kg m^2
     I_2="0.0768",
     I_3="0.00211",
+    # Viscous friction of the geared joints, N m s/rad: an assumption, the published model has none (see below).
+    d_1=5,
+    d_2=1,
+    d_3="0.2",
 )
 
 q1 = ca.SX.sym("q1")  # shoulder roll
@@ -32,6 +36,7 @@ arm = Mechanical(
         [coupling, 0, p.I_3],
     ],
     V=p.m_3 * p.g_r * p.d_c2 * (1 - ca.cos(q2)),
+    D=[p.d_1, p.d_2, p.d_3],
     G=ca.SX.eye(3),
     parameters=p,
     inputs=["u1", "u2", "u3"],
@@ -54,9 +59,9 @@ design = Design(
     ),
     # Joint 1 has a motor of its own; joints 2 and 3 are driven by two motors through a differential.
     limits=Limits.absolute([[1, 0, 0], [0, 1, 1], [0, 1, -1]], ["17.1007", "7.901", "7.901"]),
-    # The model has no joint friction, and with these gains the sampled loop is stable only up to h = 0.21 ms: the
-    # hold delays the stiff spring alpha*beta by half a sample, and nothing but x_c damps it. At 1 kHz it is unstable.
-    sample_period="1e-4",
+    # Stable at 1 kHz because of the joint friction. Without it (d_1 = d_2 = d_3 = 0) these gains are stable only up to
+    # h = 0.21 ms: the hold delays the stiff spring alpha*beta by half a sample, and nothing but x_c damps it.
+    sample_period="1e-3",
     initial={"q1": "-2.257", "q2": "-0.206", "q3": "0.044"},
     duration=10,
     description="The arm moves to a posture within the torques of its motors.",

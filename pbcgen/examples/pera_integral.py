@@ -65,7 +65,7 @@ design = Design(
     ),
     # Joint 1 has a motor of its own; joints 2 and 3 are driven by two motors through a differential.
     limits=Limits.absolute([[1, 0, 0], [0, 1, 1], [0, 1, -1]], ["17.1007", "7.901", "7.901"]),
-    # Stable at 1 kHz because of the joint friction; without it the sampled loop needs a faster rate, as `pera` does.
+    # Stable at 1 kHz because of the joint friction.
     sample_period="1e-3",
     initial={"q1": "-2.23", "q2": "-0.212", "q3": "0.086"},
     duration=10,

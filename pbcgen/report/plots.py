@@ -115,11 +115,12 @@ def plot_closed_loop(
     return figure
 
 
-def save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path | str) -> None:
     """Write the figure as PNG, SVG or PDF, after the suffix of ``path``; equal figures give equal bytes.
 
     Raises ModelError for another suffix or a path that cannot be written.
     """
+    path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in _METADATA:
         raise ModelError(f"`{path}` does not end in {', '.join(sorted(_METADATA))}: choose one of them")
