@@ -60,8 +60,8 @@ _PLATFORM_MACROS: Final = """
 #: Macros by pattern: limits of stdint.h and limits.h, classes of math.h, errno.h, POSIX constants of math.h.
 _MACRO_PATTERN: Final = re.compile(
     r"(U?INT(_(LEAST|FAST))?\d+_(MAX|MIN|C)|U?INT(PTR|MAX)_(MAX|MIN|C)|(SIZE|PTRDIFF|SIG_ATOMIC|WCHAR|WINT)_(MAX|MIN)"
-    r"|U?(CHAR|SHRT|INT|LONG|LLONG)_(MAX|MIN)|SCHAR_(MAX|MIN)|(FLT|DBL|LDBL)_[A-Z0-9_]+|FP_[A-Z0-9_]+|FE_[A-Z0-9_]+"
-    r"|M_[A-Z0-9_]+|E[A-Z]{2,}[A-Z0-9]*|SIG[A-Z]+|LC_[A-Z]+|PRI[a-zX][A-Z0-9]+|SCN[a-zX][A-Z0-9]+)"
+    r"|U?(CHAR|SHRT|INT|LONG|LLONG)_(MAX|MIN)|SCHAR_(MAX|MIN)|(FLT|DBL|LDBL)_[A-Z0-9_]*[A-Z0-9]|F[PE]_[A-Z0-9_]*[A-Z0-9]"
+    r"|M_[A-Z0-9_]*[A-Z0-9]|E[A-Z]{2,}[A-Z0-9]*|SIG[A-Z]+|LC_[A-Z]+|PRI[a-zX][A-Z0-9]+|SCN[a-zX][A-Z0-9]+)"
 )
 #: Type names of stdint.h and relatives, which a member could hide.
 _TYPE_PATTERN: Final = re.compile(

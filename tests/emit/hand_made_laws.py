@@ -47,12 +47,16 @@ def two_channels(precision: Precision = "double", fallback: Fallback = Fallback.
 
 
 def block(precision: Precision = "double", size: int = 3, stiffness: float = 20.0) -> ControlLaw:
-    """A full nonsymmetric block N = P Lambda with P(m) positive definite, and a held output."""
+    """A full nonsymmetric block N = P Lambda, and a held output.
+
+    P(m) = S C(m) S with C a correlation matrix and S of very different sizes, so that elimination needs its pivots.
+    """
     m, xi, t = ca.SX.sym("m", size), ca.SX.sym("xi", size), ca.SX.sym("t", size)
-    P = ca.SX.eye(size)
+    sizes = [0.2, 1.0, 3.0, 0.5, 2.0][:size]
+    P = ca.SX(size, size)
     for i in range(size):
         for j in range(size):
-            P[i, j] += ca.cos(m[0]) * 0.3 / size if i != j else 1 + 0.1 * i
+            P[i, j] = sizes[i] * sizes[j] * (1 if i == j else 0.45 + 0.45 * ca.cos(m[0]))
     N = stiffness * P @ ca.diag(ca.SX([1 + 0.5 * i for i in range(size)]))
     c = 3 * m + xi
     return ControlLaw(

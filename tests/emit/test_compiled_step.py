@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 
+import cffi
 import hand_made_laws as laws
 import numpy as np
 import pytest
-from compiled import Compiled
+from compiled import Compiled, compiler, run
 
-from pbcgen.control.law import Fallback
+from pbcgen.control.law import Fallback, VectorSolve
 from pbcgen.control.step import ReferenceStep, StepStatus
 from pbcgen.emit import render
 
@@ -18,6 +19,7 @@ LAWS = {
     "two_channels": laws.two_channels,
     "two_channels_holding": lambda precision: laws.two_channels(precision, Fallback.LAST_OUTPUT),
     "block": laws.block,
+    "stiff_block": lambda precision: laws.block(precision, stiffness=2000.0),
     "soft_block": lambda precision: laws.block(precision, size=5, stiffness=0.01),
     "mixed": laws.mixed,
     "stateless": laws.stateless,
@@ -46,6 +48,11 @@ def ulps(dtype, a, b):
     return np.max(np.abs(a - b) / (np.finfo(dtype).eps * np.maximum(np.abs(b), 1.0)), initial=0.0)
 
 
+def tolerance(law) -> int:
+    """In ulps: cos and tanh of two libraries differ by a few; gains and the condition of a block amplify that."""
+    return 128 if any(isinstance(solve, VectorSolve) for solve in law.solves) else 8
+
+
 def test_c_agrees_with_the_reference_step(pair):
     law, compiled, step = pair
     rng = np.random.default_rng(20260101)
@@ -58,9 +65,8 @@ def test_c_agrees_with_the_reference_step(pair):
     expected_following, expected_u, expected_status = reference(step, m, state)
     assert (status == StepStatus.OK).all()
     assert (expected_status == StepStatus.OK).all()
-    # c is the same to the bit; tanh of two libraries differs by a few ulp, and u amplifies it by its gain (2.5)
-    assert ulps(compiled.dtype, u, expected_u) <= 16
-    assert ulps(compiled.dtype, following, expected_following) <= 16
+    assert ulps(compiled.dtype, u, expected_u) <= tolerance(law)
+    assert ulps(compiled.dtype, following, expected_following) <= tolerance(law)
 
 
 def test_a_trajectory_stays_together(pair):
@@ -71,8 +77,8 @@ def test_a_trajectory_stays_together(pair):
         m = rng.normal(size=(1, len(law.inputs))).astype(compiled.dtype)
         state_c, u_c, _ = compiled.step(m, state_c)
         state_py, u_py, _ = reference(step, m, state_py)
-        assert ulps(compiled.dtype, u_c, u_py) <= 64
-        assert ulps(compiled.dtype, state_c, state_py) <= 64
+        assert ulps(compiled.dtype, u_c, u_py) <= 2 * tolerance(law)
+        assert ulps(compiled.dtype, state_c, state_py) <= 2 * tolerance(law)
 
 
 def specials(dtype):
@@ -101,7 +107,7 @@ def test_every_special_value_keeps_the_output_in_its_interval_and_the_state_fini
     unconverged = (status == StepStatus.NOT_CONVERGED) | (expected_status == StepStatus.NOT_CONVERGED)
     ordinary = np.all((np.abs(m) < 1e14) | ~np.isfinite(m), axis=1) & ~unconverged
     assert (status == expected_status)[ordinary].all()
-    assert ulps(compiled.dtype, u[ordinary], expected_u[ordinary]) <= 32
+    assert ulps(compiled.dtype, u[ordinary], expected_u[ordinary]) <= 2 * tolerance(law)
 
 
 def test_random_bit_patterns_keep_the_output_in_its_interval(pair):
@@ -156,6 +162,22 @@ def test_a_corrupted_state_is_reset_and_reported(tmp_path):
         assert reset[2][0] == StepStatus.STATE_RESET
         np.testing.assert_array_equal(reset[0], fresh[0])
         np.testing.assert_array_equal(reset[1], fresh[1])
+
+
+def test_the_clamp_lets_nothing_through(tmp_path):
+    package = render(laws.stateless("float"), laws.PROVENANCE)
+    package.write(tmp_path / "package")
+    (tmp_path / "probe.c").write_text(
+        '#include "package/stateless.c"\n'
+        "float probe(float x);\nfloat probe(float x) { return stateless_clamp(x, -1.0f, 2.0f); }\n"
+    )
+    run([*compiler(), "-std=c99", "-O2", "-shared", "-fPIC", "probe.c", "-o", "probe.so", "-lm"], cwd=tmp_path)
+    ffi = cffi.FFI()
+    ffi.cdef("float probe(float x);")
+    probe = ffi.dlopen(str(tmp_path / "probe.so")).probe
+    inf, tiny = float("inf"), 2.0**-149
+    expected = {-inf: -1, inf: 2, -1: -1, 2: 2, 0.5: 0.5, tiny: tiny, 3e38: 2, -1.0000001: -1, float("nan"): -1}
+    assert {x: probe(x) for x in expected} == expected
 
 
 def test_an_unsolved_loop_is_reported_and_stays_bounded(tmp_path):
