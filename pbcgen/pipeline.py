@@ -151,7 +151,8 @@ def certificate(report: Report) -> str:
 
 def _refusal(report: Report, blocking: Sequence[Claim]) -> str:
     lines = [f"no code for `{report.design.name}`: these claims are not PROVED"]
-    lines += [f"  {c.claim} is {c.status}: {c.evidence}" + (f"; {c.hint}" if c.hint else "") for c in blocking]
+    lines += [f"  {c.claim} is {c.status}: {c.evidence}" for c in blocking]
+    lines += [f"  hint: {hint}" for hint in dict.fromkeys(c.hint for c in blocking if c.hint)]
     if not blocking or any(c.claim in ("equilibrium", "measurability") for c in blocking):
         lines.append("  without them there is no law to emit, so --allow does not help")
     else:
@@ -188,7 +189,8 @@ def validate(
 
     report = check(design, progress)
     rendered = package(report, allow=allow)
-    assert report.control is not None and report.loop is not None
+    assert report.control is not None
+    assert report.loop is not None
     more = {} if steps is None else {"steps": steps}
     return run(report.control, rendered, report.loop, report.derivation.relaw, progress=progress, **more)
 
@@ -202,7 +204,8 @@ def simulate(design: Design, *, allow: Sequence[str] = (), progress: Progress = 
 
     report = check(design, progress)
     rendered = package(report, allow=allow)
-    assert report.control is not None and report.loop is not None
+    assert report.control is not None
+    assert report.loop is not None
     times = np.linspace(0.0, report.loop.duration, 2001)
     if progress:
         progress("continuous closed loop")

@@ -56,22 +56,28 @@ def show_report(console: Console, report: Report, model: str) -> None:
 
 
 def verdict_table(claims: Iterable[Claim]) -> Table:
-    """One row for each claim: its verdict, then name and domain with method, evidence and hint below."""
+    """One row for each claim: its verdict, then name and domain with method and evidence below, and a hint.
+
+    A hint that several claims share is given once.
+    """
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold", expand=False)
     table.add_column("verdict", no_wrap=True)
     table.add_column(f"{'claim':{_CLAIM_WIDTH}}  where it holds, and why")
+    given: set[str] = {""}
     for claim in claims:
-        table.add_row(Text(str(claim.status), _STYLES[claim.status]), _description(claim))
+        hint = "" if claim.status is Status.PROVED or claim.hint in given else claim.hint
+        given.add(hint)
+        table.add_row(Text(str(claim.status), _STYLES[claim.status]), _description(claim, hint))
     return table
 
 
-def _description(claim: Claim) -> Text:
+def _description(claim: Claim, hint: str) -> Text:
     text = Text()
     text.append(f"{claim.claim:{_CLAIM_WIDTH}}", "bold")
     text.append(f"  {claim.domain}\n")
     text.append(": ".join(part for part in (claim.method, claim.evidence) if part), "dim")
-    if claim.status is not Status.PROVED and claim.hint:
-        text.append(f"\nhint: {claim.hint}", "yellow")
+    if hint:
+        text.append(f"\nhint: {hint}", "yellow")
     return text
 
 
@@ -124,7 +130,8 @@ def meaning(report: Report) -> str:
     blocking = report.blocking()
     if not blocking:
         return "No code: the derivation stopped before it had a controller."
-    return f"No code: {' and '.join(f'{c.claim} is {c.status}' for c in blocking)}."
+    refuted = [c for c in blocking if c.status is Status.REFUTED]
+    return f"No code: {' and '.join(f'{c.claim} is {c.status}' for c in refuted or blocking)}."
 
 
 def _proved(report: Report) -> set[str]:

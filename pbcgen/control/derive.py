@@ -16,7 +16,7 @@ from pbcgen.control.graph import Interface, LawGraph, Needs, build, control_law,
 from pbcgen.control.law import ControlLaw, Precision, Signal
 from pbcgen.control.linearisation import ClosedLoopSlope
 from pbcgen.control.measure import Measurement
-from pbcgen.control.saturation import Saturation, saturation
+from pbcgen.control.saturation import saturation
 from pbcgen.control.stability import StabilityVerdicts, stability
 from pbcgen.errors import ModelError, UnsupportedOperation
 from pbcgen.models.design import Design
@@ -137,8 +137,9 @@ def derive(design: Design, progress: Progress = None) -> Derivation:
     law = _resolve(design, eta)
     numbers: dict[str, Any] = _formulas(plant, output, eta)
     theta_verdict = None
-    if bounds is not None and isinstance(_base(law), NaturalDamping):
-        theta_verdict = theta(bounds, _base(law))
+    base = _base(law)
+    if bounds is not None and isinstance(base, NaturalDamping):
+        theta_verdict = theta(bounds, base)
         stages.add(theta_verdict.claim)
     at_target = None
     if equilibrium.point is not None:

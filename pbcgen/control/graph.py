@@ -1,9 +1,9 @@
 """Each law as formulas in the measurement: continuous, and discretised by backward Euler.
 
 With z_c = gamma~ + x_c and E = (I + h R_c K_c)^{-1}, the implicit step of (dxc) is ``x_c+ = E (x_c - h R_c alpha t)``,
-``t = tanh(s)``, so the saturated arguments s = beta z_c+ solve ``s + N t = c`` with ``N = diag(beta) E h R_c diag(alpha)``
-and ``c = beta (gamma~ + E x_c)``. (dxl) has the diagonal analogue. The law `passive-output` has no state: there s is the
-passive output y, which depends on u.
+``t = tanh(s)``, so the saturated arguments s = beta z_c+ solve ``s + N t = c`` with
+``N = diag(beta) E h R_c diag(alpha)`` and ``c = beta (gamma~ + E x_c)``. (dxl) has the diagonal analogue. The law
+`passive-output` has no state: there s is the passive output y, which depends on u.
 """
 
 from __future__ import annotations
@@ -101,8 +101,9 @@ def exact_inverse(rows: Matrix) -> Matrix:
 
 def product(a: Matrix, b: Matrix) -> Matrix:
     """The product of matrices of fractions."""
+    columns = list(zip(*b, strict=True))
     return tuple(
-        tuple(sum((x * y for x, y in zip(row, col, strict=True)), Fraction(0)) for col in zip(*b)) for row in a
+        tuple(sum((x * y for x, y in zip(row, col, strict=True)), Fraction(0)) for col in columns) for row in a
     )
 
 
@@ -366,7 +367,6 @@ def _meaning(state: str) -> str:
 
 #: The block solve stops here at the latest; see the description of the step for its globalisation.
 _BLOCK_ITERATIONS = 40
-_BLOCK_BACKTRACKS = 20
 
 
 def _solves(N: ca.SX, precision: Precision) -> tuple[ScalarSolve | VectorSolve, ...]:
@@ -375,7 +375,7 @@ def _solves(N: ca.SX, precision: Precision) -> tuple[ScalarSolve | VectorSolve, 
     solves: list[ScalarSolve | VectorSolve] = []
     for block in _blocks(N):
         if len(block) > 1:
-            solves.append(VectorSolve(tuple(block), _BLOCK_ITERATIONS, _BLOCK_BACKTRACKS, 64 * unit))
+            solves.append(VectorSolve(tuple(block), _BLOCK_ITERATIONS, 64 * unit))
             continue
         entry = N[block[0], block[0]]
         bound = scalar_iterations(_largest(entry), precision)

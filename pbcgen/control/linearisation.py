@@ -174,10 +174,8 @@ def _radius(A: NDArray[np.float64], B: NDArray[np.float64], H: NDArray[np.float6
         np.array([[approximate(v) for v in row] for row in part]).reshape(len(part), -1)
         for part in (step.X_m, step.X_xi, step.U_m, step.U_xi)
     )
-    if X_xi.size == 0:
-        loop = Ad + Bd @ U_m @ H
-    else:
-        loop = np.block([[Ad + Bd @ U_m @ H, Bd @ U_xi], [X_m @ H, X_xi]])
+    plant = Ad + Bd @ U_m @ H
+    loop = plant if X_xi.size == 0 else np.block([[plant, Bd @ U_xi], [X_m @ H, X_xi]])
     if not np.all(np.isfinite(loop)):
         return False
     return bool(np.max(np.abs(np.linalg.eigvals(loop))) < 1)

@@ -220,7 +220,7 @@ def _hint(design: Design, centres: Sequence[Range | None], label: str, excess: R
         too_low = lo is not None and sign(c.lo - rational(lo)) in (0, -1)
         if too_high or too_low:
             return (
-                f"no alpha can help: the equilibrium input {name} = {text(c.hi if too_high else c.lo, 9)} is at or beyond "
-                f"its limit; choose another target or actuator"
+                f"no alpha can help: the equilibrium input {name} = {text(c.hi if too_high else c.lo, 9)} is at or "
+                "beyond its limit; choose another target or actuator"
             )
     return f"reduce the amplitudes alpha that enter {label.split(' ', maxsplit=1)[0]} by {text(excess, 6)} in total"

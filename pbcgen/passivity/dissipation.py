@@ -2,8 +2,8 @@
 
 With the power structure the dissipation is ``v^T B v + rho^T grad S``, and every signal sigma(x) has
 ``sigma' = r v`` with the row r = grad sigma^T F (or grad sigma^T), provided rho does not act on it. For a constant
-part B0 <= B the inequality of Assumption 3, ``v^T B v >= |eta'|^2_{Lambda_l} + |y|^2_{Lambda_c}``, holds iff the rows lie
-in the range of B0 and ``diag(Lambda_l, Lambda_c)^{-1} >= W = C B0^+ C^T``, C being the rows of eta' and y.
+part B0 <= B the inequality of Assumption 3, ``v^T B v >= |eta'|^2_{Lambda_l} + |y|^2_{Lambda_c}``, holds iff the rows
+lie in the range of B0 and ``diag(Lambda_l, Lambda_c)^{-1} >= W = C B0^+ C^T``, C being the rows of eta' and y.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import RealMatrix, eigenvalues, positive_semidefinite
 from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.symbolic.field import Quotient
-from pbcgen.symbolic.linear import CONSTANT, Inconsistent, particular_solution, reduce_rows
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO, Real, fraction, rational, text
 
 
@@ -78,7 +78,7 @@ def assumption_3(
     ]
     if plant.system.eta is not None and len(chosen) < len(candidates):
         return NaturalDampingBounds(
-            plant.system.eta, names, None, None, _undecided("the given eta is not damped by a constant")
+            plant.system.eta, tuple(names), None, None, _undecided("the given eta is not damped by a constant")
         )
     limit = plant.system.n - plant.system.m
     chosen = chosen[:limit]
@@ -239,7 +239,8 @@ def dot_real(a: Sequence[Real], b: Sequence[Real]) -> Real:
 
 def _kernel_direction(B0: RealMatrix, row: Sequence[Real]) -> list[Real]:
     """v with ``B0 v = 0`` and ``row v = 1``; exists when the row is outside the range of the symmetric B0."""
-    equations = [dict(enumerate(line)) for line in B0] + [{**dict(enumerate(row)), CONSTANT: fmpq(-1)}]
+    equations: list[Row] = [dict(enumerate(line)) for line in B0]
+    equations.append({**dict(enumerate(row)), CONSTANT: fmpq(-1)})
     solution = particular_solution(reduce_rows(equations), fmpq(0))
     return [solution.get(k, fmpq(0)) for k in range(len(row))]
 

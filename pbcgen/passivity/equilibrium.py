@@ -236,7 +236,7 @@ class _SquareSystem:
             value, jacobian = self.plant.walk(tape, point.x, point.u)
             return [row[0] for row in value], jacobian
 
-        centre = polish(system, zero)
+        centre = polish(system, zero.tolist())
         balls = None if centre is None else krawczyk(system, centre)
         return None if balls is None else self._point(list(balls))
 
@@ -431,12 +431,13 @@ def _residual_verdict(
     hint = "give fewer coordinates and let pbcgen complete them"
     if polished is not None:
         hint += "; the nearest assignable point is " + _pairs(polished)
+    residual = f"d{row}/dt = {text(worst, 6)} with the best u"
     claim = Claim(
         "equilibrium",
         Status.REFUTED,
         "at x*",
         method,
-        f"the target is not assignable: no input makes f + g u zero there; d{row}/dt = {text(worst, 6)} with the best u",
+        f"the target is not assignable: no input makes f + g u zero there; {residual}",
         hint,
         {
             "x": [text(v, 17) for v in point.x],

@@ -1,4 +1,4 @@
-"""Closed-form potentials: gamma with a given gradient, where one exists among the functions that the gradient suggests."""
+"""Closed-form potentials: gamma with a given gradient, if one exists among the functions that this suggests."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def curl(plant: Plant, psi: ca.SX) -> Curl | None:
     Raises UnsupportedOperation for operations that are not analytic.
     """
     jacobian = ca.jacobian(psi, plant.system.x)
-    field, (skew,) = plant.exact(jacobian - jacobian.T)
+    _, (skew,) = plant.exact(jacobian - jacobian.T)
     for (i, j), entry in sorted(skew.entries.items()):
         if i < j and not entry.is_zero():
             return Curl(i, j, entry)
@@ -119,7 +119,7 @@ def _match(plant: Plant, psi: ca.SX, functions: Sequence[ca.SX]) -> ca.SX | None
     for i, split in enumerate(target):
         if split is None:
             return None
-        present = {m for column in offered if column[i] is not None for m in column[i]} | set(split)
+        present = {m for column in offered if (terms := column[i]) is not None for m in terms} | set(split)
         for monomial in sorted(present):
             row: Row = {}
             for k, column in enumerate(offered):
@@ -137,7 +137,8 @@ def _match(plant: Plant, psi: ca.SX, functions: Sequence[ca.SX]) -> ca.SX | None
         return None
     symbols = [s for column in plant.symbols for s in ca.vertsplit(column)]
     total = ca.SX(0)
-    for k, value in sorted(solution.items(), key=lambda item: str(item[0])):
-        if not value.is_zero():
-            total = total + field.to_sx(value, symbols) * functions[k]  # type: ignore[index]
+    for k, function in enumerate(functions):
+        value = solution.get(k)
+        if value is not None and not value.is_zero():
+            total = total + field.to_sx(value, symbols) * function
     return total

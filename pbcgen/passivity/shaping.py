@@ -118,7 +118,9 @@ def gradient_condition(plant: Plant, point: Point, shape: Shape, structure: Powe
     only zero; with grad gamma = -A g, ``grad S + grad gamma kappa = A (f + g u) = 0`` outright.
 
     Args:
-        plant, point, shape: the system at x*.
+        plant: the system.
+        point: x*.
+        shape: kappa and the gradients there.
         structure: a power structure for which the relation with grad gamma is proved, or None.
     """
     signs = [sign(v) for v in shape.gradient]

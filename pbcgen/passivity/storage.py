@@ -36,8 +36,7 @@ def assumption_1(plant: Plant) -> Storage:
     """Prove, refute or leave open that the storage is nonincreasing for u = 0."""
     found = power_structure(plant) if gradient_is_exact(plant) else None
     if found is not None and found[1].complete:
-        structure, _ = found
-        return Storage(_by_structure(structure), structure)
+        return Storage(_by_structure(found[0]), found[0])
     structure = found[0] if found else None
     if _directly(plant):
         claim = Claim(

@@ -75,13 +75,11 @@ def _search(plant: Plant, drift_first: bool, affine: bool) -> tuple[ca.SX, ca.SX
     if found is None:
         return None
     factor, pattern = found
-    symbolic_field, *sides = _sides(plant, drift_first, affine, symbolic=True)
-    if len(sides[2]) == len(multipliers):
-        refined = refine_symbolically(
-            symbolic_field, *sides, plant.parameter_positions(), pattern, remainder_allowed=drift_first
-        )
+    sides = _sides(plant, drift_first, affine, symbolic=True)
+    if len(sides[-1]) == len(multipliers):
+        refined = refine_symbolically(*sides, plant.parameter_positions(), pattern, remainder_allowed=drift_first)
         if refined is not None:
-            return _as_expressions(plant, symbolic_field, refined)
+            return _as_expressions(plant, sides[0], refined)
     return _as_expressions(plant, field, factor)
 
 

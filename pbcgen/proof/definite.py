@@ -83,7 +83,7 @@ def _direction(multipliers: RealMatrix, stop: int) -> tuple[Fraction, ...]:
 
 @in_high_precision
 def positive_definite(matrix: RealMatrix) -> Definiteness:
-    """Whether the symmetric matrix is positive definite. Singular matrices are REFUTED: semidefinite is not definite."""
+    """Whether the symmetric matrix is positive definite. A singular one is REFUTED: semidefinite is not definite."""
     pivots, multipliers, stop = _unit_lower(matrix)
     if stop is None:
         return Definiteness(Status.PROVED, tuple(pivots))

@@ -43,7 +43,7 @@ def float_newton(system: FloatSystem, start: NDArray[np.float64]) -> NDArray[np.
             except np.linalg.LinAlgError:
                 return None
             if np.linalg.norm(step) <= 1e-13 * (1e-3 + np.linalg.norm(z)):
-                return z + step
+                return np.asarray(z + step)
             for halving in range(40):
                 candidate = z + step * 0.5**halving
                 new_value, new_jacobian = system(candidate)
@@ -51,10 +51,11 @@ def float_newton(system: FloatSystem, start: NDArray[np.float64]) -> NDArray[np.
                 if np.isfinite(new_norm) and new_norm < norm * (1 - 1e-4 * 0.5**halving):
                     break
             else:
-                return z if np.linalg.norm(step) <= 1e-9 * (1e-3 + np.linalg.norm(z)) else None
+                settled = np.linalg.norm(step) <= 1e-9 * (1e-3 + np.linalg.norm(z))
+                return np.asarray(z) if settled else None
             z, value, jacobian, norm = candidate, new_value, new_jacobian, new_norm
             if norm == 0:
-                return z
+                return np.asarray(z)
     return None
 
 
@@ -77,7 +78,7 @@ def find_zeros(system: FloatSystem, search: Search) -> list[NDArray[np.float64]]
             continue
         if all(np.max(np.abs(zero - other) / (1e-6 + np.abs(other))) > 1e-6 for other in found):
             found.append(zero)
-    return sorted(found, key=lambda z: tuple(np.round(z, 9)))
+    return sorted(found, key=lambda z: np.round(z, 9).tolist())
 
 
 def _matrix(rows: RealMatrix) -> arb_mat:

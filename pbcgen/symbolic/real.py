@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import ParamSpec, TypeAlias, TypeVar
 
 from flint import arb, ctx, fmpq, fmpz
 
-Real = fmpq | arb
+Real: TypeAlias = fmpq | arb
 
 ZERO = fmpq(0)
 ONE = fmpq(1)
@@ -83,7 +83,7 @@ def sign(value: Real) -> int | None:
         if value < 0:
             return -1
         return 0 if value.is_exact() and value == 0 else None
-    return (value > 0) - (value < 0)
+    return int(value > 0) - int(value < 0)
 
 
 def midpoint(value: Real) -> Fraction:

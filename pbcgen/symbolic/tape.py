@@ -21,6 +21,7 @@ import casadi as ca
 from pbcgen.errors import ModelError, UnsupportedOperation
 
 T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
 
 #: Scalar operations of SX, by CasADi operation code: (name, number of operands). The name is the method that
 #: an :class:`Algebra` provides. Operations with the same meaning share a name.
@@ -107,10 +108,10 @@ class Operation:
 Instruction = Constant | Input | Operation
 
 
-class Algebra(Protocol[T]):
+class Algebra(Protocol[T_co]):
     """What a tape is walked with: a meaning for constants, and a method named like each operation."""
 
-    def const(self, value: Fraction) -> T:
+    def const(self, value: Fraction) -> T_co:
         """The meaning of a literal."""
         ...
 
@@ -238,10 +239,10 @@ def exact_decimal(value: float) -> Fraction:
 def _share(outputs: Sequence[ca.SX]) -> list[ca.SX]:
     """The expressions with equal subexpressions made one; CasADi's rewriting keeps the values unchanged."""
     shapes = [ca.SX(output).sparsity() for output in outputs]
-    flat = ca.veccat(*[ca.SX(output).nonzeros() and ca.vertcat(*ca.SX(output).nonzeros()) for output in outputs])
-    if flat.numel() == 0:
+    entries: list[Any] = [entry for output in outputs for entry in ca.SX(output).nonzeros()]
+    if not entries:
         return [ca.SX(output) for output in outputs]
-    nonzeros = ca.vertsplit(ca.cse(ca.densify(flat)))
+    nonzeros = ca.vertsplit(ca.cse(ca.densify(ca.vertcat(*entries))))
     result = []
     start = 0
     for sparsity in shapes:

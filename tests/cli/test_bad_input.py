@@ -85,7 +85,7 @@ def test_a_target_that_is_no_equilibrium_is_refused_with_the_nearest_one(generat
     code, printed = generate(text.replace('target={"link": 0}', 'target={"link": 0, "motor": 1}'))
     assert code == 2
     assert "equilibrium" in printed
-    assert "residual" in printed
+    assert "dlink_momentum/dt = 6 with the best u" in printed
     assert "nearest" in printed
 
 

@@ -74,10 +74,19 @@ def test_a_local_proof_does_not_claim_more(check):
 
 @pytest.mark.parametrize("status", [REFUTED, UNDECIDED])
 def test_a_claim_that_blocks_code_exits_with_2_and_names_itself(check, status):
-    code, text = check(saturation=status, sampled_stable=UNDECIDED)
+    code, text = check(saturation=status, sampled_stable=status)
     assert code == 2
-    assert f"No code: saturation is {status} and sampled-stable is UNDECIDED." in text
+    assert f"No code: saturation is {status} and sampled-stable is {status}." in text
     assert "--allow saturation --allow sampled-stable" in text
+
+
+def test_what_is_refuted_is_named_before_what_it_leaves_open(check):
+    text = check(saturation=REFUTED, sampled_stable=UNDECIDED)[1]
+    assert "No code: saturation is REFUTED." in text
+
+
+def test_a_hint_that_claims_share_is_given_once(check):
+    assert check(saturation=REFUTED, sampled_stable=UNDECIDED)[1].count("hint: ") == 1
 
 
 def test_a_claim_that_code_does_not_need_does_not_block(check):
