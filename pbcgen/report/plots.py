@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
@@ -17,8 +18,6 @@ from pbcgen.errors import ModelError
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from fractions import Fraction
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.gridspec import SubplotSpec
 
