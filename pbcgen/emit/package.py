@@ -72,7 +72,7 @@ class Package:
         _check_target(directory, self)
         directory.mkdir(parents=True, exist_ok=True)
         for name in sorted(self.files, key=lambda name: (name == MANIFEST, name)):
-            temporary = directory / f".{name}.new"
+            temporary = directory / _temporary(name)
             temporary.write_bytes(self.files[name].encode("utf-8"))
             os.replace(temporary, directory / name)
 
@@ -105,6 +105,11 @@ def render(
         files[name] = text
     files[MANIFEST] = _manifest(law, provenance, program, files)
     return Package(program.prefix, dict(sorted(files.items())), program.renamed)
+
+
+def _temporary(name: str) -> str:
+    """The name of a file while it is written."""
+    return f".{name}.new"
 
 
 def _is_plain_name(name: str) -> bool:
@@ -256,10 +261,11 @@ def _check_target(directory: Path, package: Package) -> None:
     if not directory.is_dir():
         raise EmitError(f"{directory} is a file: choose a directory for the package")
     recorded = _recorded(directory / MANIFEST, package.prefix)
+    unfinished = {_temporary(name) for name in package.files}
     for entry in sorted(directory.iterdir()):
-        if entry.name == BUILD_DIRECTORY and entry.is_dir() and recorded:
+        if entry.name in unfinished or (entry.name == MANIFEST and recorded):
             continue
-        if entry.name == MANIFEST and recorded:
+        if entry.name == BUILD_DIRECTORY and entry.is_dir() and recorded:
             continue
         known = {recorded.get(entry.name), package.files.get(entry.name) and _digest(package.files[entry.name])}
         if not entry.is_file() or (entry.name not in recorded and entry.name not in package.files):

@@ -165,7 +165,7 @@ def test_a_file_in_place_of_the_directory_is_refused(package, tmp_path):
 
 def test_an_interrupted_write_can_be_repeated(package, tmp_path):
     package.write(tmp_path)
-    (tmp_path / "manifest.json").unlink()
+    (tmp_path / "manifest.json").rename(tmp_path / ".manifest.json.new")
     (tmp_path / "Makefile").unlink()
     package.write(tmp_path)
     assert (tmp_path / "Makefile").exists()
