@@ -18,6 +18,7 @@ from pbcgen.errors import ModelError
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from fractions import Fraction
+
     from matplotlib.axes import Axes
     from matplotlib.gridspec import SubplotSpec
 
