@@ -139,13 +139,14 @@ def _proved(report: Report) -> set[str]:
 
 
 def next_steps(report: Report, model: str) -> list[str]:
-    """The commands to go on with."""
+    """The commands to go on with; ``--allow`` is offered for what is open, not for what is refuted."""
     if report.emittable:
         return [f"Next: pbcgen generate {model} -o {report.design.name}_c"]
-    lines = [f"Next: change the model as the hint says, then pbcgen check {model}"]
-    if report.control is not None and report.blocking():
-        allowed = " ".join(f"--allow {c.claim}" for c in report.blocking())
-        lines.append(f"      or, without the proof: pbcgen generate {model} -o {report.design.name}_c {allowed}")
+    lines = [f"Next: change the model as the hints say, then pbcgen check {model}"]
+    blocking = report.blocking()
+    if report.control is not None and blocking and all(c.status is Status.UNDECIDED for c in blocking):
+        allowed = " ".join(f"--allow {c.claim}" for c in blocking)
+        lines.append(f"  or go on without a proof: pbcgen generate {model} -o {report.design.name}_c {allowed}")
     return lines
 
 

@@ -52,7 +52,8 @@ def environment(request, tmp_path):
 def test_the_wheel_holds_package_types_and_templates_and_nothing_else(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert "pbcgen/py.typed" in names
-    assert {f"pbcgen/templates/{path.name}" for path in (ROOT / "templates").iterdir()} <= set(names)
+    templates = {path.relative_to(ROOT) for path in (ROOT / "templates").rglob("*") if path.is_file()}
+    assert {f"pbcgen/{path.as_posix()}" for path in templates} <= set(names)
     assert all(name.startswith(("pbcgen/", "pbcgen-")) for name in names)
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
