@@ -32,6 +32,7 @@ class Check:
 
 _REQUIRED_PACKAGES = (
     ("casadi", "models and simulation"),
+    ("sympy", "formulas in reports"),
     ("numpy", "numeric work"),
     ("scipy", "numeric work"),
     ("python-flint", "certified arithmetic"),
