@@ -13,8 +13,10 @@ if TYPE_CHECKING:
     from pbcgen.models.design import Design
     from pbcgen.models.laws import DynamicExtension, Integral, NaturalDamping, PassiveOutput, PotentialCompensation
     from pbcgen.models.limits import Limits
+    from pbcgen.models.loader import load
     from pbcgen.models.mechanical import Mechanical
     from pbcgen.models.parameters import Parameters
+    from pbcgen.pipeline import check, generate, simulate, validate
 
 __version__ = "0.1.0"
 
@@ -37,6 +39,11 @@ __all__ = [
     "ToolchainError",
     "UnsupportedOperation",
     "__version__",
+    "check",
+    "generate",
+    "load",
+    "simulate",
+    "validate",
 ]
 
 #: Imported on first use: CasADi takes longer to load than `pbcgen --help` should take.
@@ -52,6 +59,11 @@ _HOMES = {
     "Parameters": "pbcgen.models.parameters",
     "PassiveOutput": "pbcgen.models.laws",
     "PotentialCompensation": "pbcgen.models.laws",
+    "check": "pbcgen.pipeline",
+    "generate": "pbcgen.pipeline",
+    "load": "pbcgen.models.loader",
+    "simulate": "pbcgen.pipeline",
+    "validate": "pbcgen.pipeline",
 }
 
 
