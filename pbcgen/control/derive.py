@@ -123,7 +123,9 @@ def derive(design: Design, progress: Progress = None) -> Derivation:
     equilibrium: Equilibrium = stages.run("equilibrium", lambda: complete(plant, design))
     storage: Storage = stages.run("assumption-1", lambda: assumption_1(plant))
     stages.add(equilibrium.claim, storage.claim)
-    found = stages.run("passive output", lambda: passive_output.find(plant, storage.structure, storage.proved))
+    found = stages.run(
+        "passive output", lambda: passive_output.find(plant, storage.structure, storage.proved, storage.by_structure)
+    )
     output = found if isinstance(found, PassiveOutputResult) else None
     stages.add(output.claim if output else found)
     bounds = None

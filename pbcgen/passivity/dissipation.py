@@ -153,7 +153,10 @@ def _constant_rows(plant: Plant, structure: PowerStructure, gamma: ca.SX, signal
 
 
 def _constant_part(B: list[list[Quotient]]) -> tuple[RealMatrix, bool] | None:
-    """A constant B0 with B - B0 diagonal and nonnegative, and whether B is B0."""
+    """A constant B0 >= 0 with B - B0 diagonal and nonnegative, and whether B is B0.
+
+    None where no such B0 was found: lowering the diagonal of B to constants may lose the sign of the whole.
+    """
     size = len(B)
     result: RealMatrix = [[ZERO] * size for _ in range(size)]
     complete = True
@@ -167,6 +170,8 @@ def _constant_part(B: list[list[Quotient]]) -> tuple[RealMatrix, bool] | None:
                 return None
             complete = False
             result[i][i] = _constant_below(B[i][i])
+    if positive_semidefinite(result).status is not Status.PROVED:
+        return None
     return result, complete
 
 

@@ -182,7 +182,9 @@ def _combination(
 # --- the proof ---------------------------------------------------------------------------------------------------
 
 
-def find(plant: Plant, structure: PowerStructure | None, storage_proved: bool) -> PassiveOutput | Claim:
+def find(
+    plant: Plant, structure: PowerStructure | None, storage_proved: bool, structure_proved: bool
+) -> PassiveOutput | Claim:
     """The first gamma that is proved to give a passive output, else the verdict that says what was tried."""
     tried: list[str] = []
     obstacles: list[_Obstacle] = []
@@ -193,7 +195,7 @@ def find(plant: Plant, structure: PowerStructure | None, storage_proved: bool) -
                 obstacles.append(candidate)
                 tried.append(f"{candidate.strategy}: not integrable")
                 continue
-            method = prove(plant, structure, candidate.gamma, storage_proved)
+            method = prove(plant, structure, candidate.gamma, storage_proved, structure_proved)
             if method is not None:
                 claim = _proved(candidate, method)
                 return PassiveOutput(candidate.gamma, candidate.strategy, claim, method.startswith("structure"))
@@ -206,8 +208,18 @@ def find(plant: Plant, structure: PowerStructure | None, storage_proved: bool) -
     return _none(plant, tried, obstacles)
 
 
-def prove(plant: Plant, structure: PowerStructure | None, gamma: ca.SX, storage_proved: bool) -> str | None:
-    """How ``Z(x) >= 0`` was proved for this gamma, or None."""
+def prove(
+    plant: Plant, structure: PowerStructure | None, gamma: ca.SX, storage_proved: bool, structure_proved: bool
+) -> str | None:
+    """How ``Z(x) >= 0`` was proved for this gamma, or None.
+
+    Args:
+        plant: the system.
+        gamma: the candidate.
+        structure: a power structure whose identity holds, or None.
+        storage_proved: whether Assumption 1 is proved.
+        structure_proved: whether its dissipation B >= 0 is proved, so that it may be used for u != 0.
+    """
     system = plant.system
     if not storage_proved:
         return None
@@ -223,8 +235,10 @@ def prove(plant: Plant, structure: PowerStructure | None, gamma: ca.SX, storage_
     zero = field.const(0)
     psi_columns, g_columns = columns(p, zero), columns(g, zero)
     drift, gradient = f.column(zero), e.column(zero)
-    if structure is not None and _matched(
-        structure, psi_columns, g_columns, shape.dense(zero), rest.column(zero), zero
+    if (
+        structure_proved
+        and structure is not None
+        and _matched(structure, psi_columns, g_columns, shape.dense(zero), rest.column(zero), zero)
     ):
         return f"structure: grad gamma = {'-F^-1 g' if structure.form == 'F' else '-A g'}"
     return _direct(psi_columns, g_columns, drift, gradient, zero)

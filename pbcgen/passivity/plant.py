@@ -9,6 +9,7 @@ from functools import cached_property
 
 import casadi as ca
 
+from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.affine import AffineSystem
 from pbcgen.symbolic.field import Field, Quotient, evaluate
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, reals
@@ -34,11 +35,26 @@ class Plant:
 
     @cached_property
     def gradient(self) -> ca.SX:
-        """grad S, n x 1. A front end's own expression of it is used where there is one."""
+        """grad S, n x 1. A front end's own expression of it is used where it is proved to be the same function."""
         mechanics = self.system.mechanical
-        if mechanics is not None:
+        if mechanics is not None and self.gradient_is_exact:
             return mechanics.energy_gradient
         return ca.gradient(self.system.S, self.system.x)
+
+    @cached_property
+    def gradient_is_exact(self) -> bool:
+        """Whether the front end's expression of grad S, if it has one, is the derivative of S, as an exact identity.
+
+        It rests on M being symmetric, which front ends only check at samples.
+        """
+        mechanics = self.system.mechanical
+        if mechanics is None:
+            return True
+        try:
+            field, (difference,) = self.exact(mechanics.energy_gradient - ca.gradient(self.system.S, self.system.x))
+        except (UnsupportedOperation, ZeroDivisionError):
+            return False
+        return all(entry.is_zero() for entry in difference.column(field.const(0)))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -21,10 +21,18 @@ _SAMPLES = 4000
 
 @dataclass(frozen=True)
 class Storage:
-    """The verdict on Assumption 1 and the structure that it rests on, if one was found."""
+    """The verdict on Assumption 1 and the power structure that was found, if any.
+
+    Attributes:
+        claim: the verdict `assumption-1`.
+        structure: f and grad S satisfy its identity; a source of candidates for gamma.
+        by_structure: whether its dissipation B is proved nonnegative for every v, not only for v = grad S (or f).
+            Assumption 1 may hold without that; conclusions about u != 0 may not be drawn from B then.
+    """
 
     claim: Claim
     structure: PowerStructure | None
+    by_structure: bool = False
 
     @property
     def proved(self) -> bool:
@@ -34,9 +42,9 @@ class Storage:
 
 def assumption_1(plant: Plant) -> Storage:
     """Prove, refute or leave open that the storage is nonincreasing for u = 0."""
-    found = power_structure(plant) if gradient_is_exact(plant) else None
+    found = power_structure(plant) if plant.gradient_is_exact else None
     if found is not None and found[1].complete:
-        return Storage(_by_structure(found[0]), found[0])
+        return Storage(_by_structure(found[0]), found[0], by_structure=True)
     structure = found[0] if found else None
     if _directly(plant):
         claim = Claim(
@@ -44,17 +52,6 @@ def assumption_1(plant: Plant) -> Storage:
         )
         return Storage(claim, structure)
     return Storage(_refute(plant, found[1] if found else None), structure)
-
-
-def gradient_is_exact(plant: Plant) -> bool:
-    """Whether the front end's expression of grad S is the derivative of S, as an exact identity."""
-    if plant.system.mechanical is None:
-        return True
-    try:
-        field, (difference,) = plant.exact(plant.gradient - ca.gradient(plant.system.S, plant.system.x))
-    except (UnsupportedOperation, ZeroDivisionError):
-        return False
-    return all(entry.is_zero() for entry in difference.column(field.const(0)))
 
 
 def _by_structure(structure: PowerStructure) -> Claim:
