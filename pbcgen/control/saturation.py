@@ -14,6 +14,7 @@ from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, Pot
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.extrema import Box, maximum, term_bounds
+from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import BITS, Real, midpoint, precision, rational, sign, text
 
 #: Slightly more than pi: a box that covers a period of sine and cosine.
@@ -94,7 +95,7 @@ def _range(plant: Plant, entry: ca.SX) -> Range | None:
     used = sorted(value.symbols())
     if len(value.numerator) <= 1 + (value.constant() is not None):
         return None if bounds.lo is None or bounds.hi is None else Range(rational(bounds.lo), rational(bounds.hi))
-    box = _covering_box(plant, value.generators(), used, domain)
+    box = _covering_box(value, used, domain)
     if box is None:
         return None if bounds.lo is None or bounds.hi is None else Range(rational(bounds.lo), rational(bounds.hi))
     highest = _best(plant, entry, used, box, bounds.hi)
@@ -105,19 +106,36 @@ def _range(plant: Plant, entry: ca.SX) -> Range | None:
 
 
 def _covering_box(
-    plant: Plant, generators: set[int], used: Sequence[int], domain: dict[int, tuple[Fraction | None, Fraction | None]]
+    value: Quotient, used: Sequence[int], domain: dict[int, tuple[Fraction | None, Fraction | None]]
 ) -> Box | None:
-    """A box that contains a representative of every value: the domain, or one period where only angles occur."""
+    """A box that contains a representative of every value: the domain, or one period of an angle."""
     intervals = []
     for k in used:
         lo, hi = domain[k]
         if lo is not None and hi is not None:
             intervals.append((lo, hi))
-        elif k not in generators:
+        elif _has_period_of_circle(value, k):
             intervals.append((-_PI, _PI))
         else:
             return None
     return tuple(intervals)
+
+
+def _has_period_of_circle(value: Quotient, k: int) -> bool:
+    """Whether 2 pi is a period in symbol k: it occurs only in sines and cosines of integer multiples."""
+    if k in value.generators():
+        return False
+    for position in value.generators():
+        atom = value.field.atoms.get(position)
+        if atom is None or k not in atom.argument.symbols():
+            continue
+        terms = atom.argument.numerator.to_dict() if atom.argument.is_polynomial() else {}
+        own = [(exponents, c) for exponents, c in terms.items() if exponents[k]]
+        linear = len(own) == 1 and sum(own[0][0]) == 1 and own[0][1].q == 1
+        inside_only = all(g < value.field.symbol_count for g in atom.argument.generators())
+        if atom.kind not in ("sin", "cos") or not (linear and inside_only):
+            return False
+    return True
 
 
 def _best(plant: Plant, entry: ca.SX, used: Sequence[int], box: Box, other: Fraction | None) -> Fraction | None:

@@ -62,7 +62,7 @@ def maximum(
     ``None`` stands for "nothing known": the function is not finite somewhere, or the budget ended before.
     """
     attained: Fraction | None = None
-    heap: list[tuple[float, int, Box]] = []
+    heap: list[tuple[float, int, Box, Fraction]] = []
     count = 0
 
     def push(part: Box) -> bool:
@@ -71,13 +71,13 @@ def maximum(
         if not is_finite(value):
             return False
         count += 1
-        heapq.heappush(heap, (-float(upper(value)), count, part))
+        heapq.heappush(heap, (-float(upper(value)), count, part, upper(value)))
         return True
 
     if not push(box):
         return None, None
     while heap and count < budget:
-        bound, _, part = heap[0]
+        bound, _, part, _ = heap[0]
         centre = function([rational((lo + hi) / 2) for lo, hi in part])
         if is_finite(centre):
             value = lower(centre)
@@ -91,5 +91,4 @@ def maximum(
         for piece in ((lo, middle), (middle, hi)):
             if not push((*part[:widest], piece, *part[widest + 1 :])):
                 return attained, None
-    best = heap[0][2]
-    return attained, upper(function([enclose(lo, hi) for lo, hi in best]))
+    return attained, max(bound for *_, bound in heap)

@@ -1,0 +1,57 @@
+"""The interval of each input covers everything that the law can put out."""
+
+import casadi as ca
+import pytest
+
+from pbcgen import Design, Limits, Mechanical, PotentialCompensation
+from pbcgen.control.derive import derive
+from pbcgen.proof.claim import Status
+
+
+def _pendulum(V, limit, **keywords):
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    arm = Mechanical([q], [p], M=[1], V=V(q), D=[1], G=[1], inputs=["u"], **keywords)
+    law = PotentialCompensation(alpha=1, beta=1, K_c=1, R_c=1)
+    design = Design(arm, target={"q": 0}, law=law, limits=Limits.symmetric(limit), sample_period="1e-3", name="arm")
+    derivation = derive(design)
+    return {c.claim: c for c in derivation.claims}["saturation"], derivation.derived["input_intervals"][0]
+
+
+#: Potentials whose gradient is not periodic with 2 pi, and the supremum of the gradient plus alpha.
+LONG_PERIODS = {
+    "half an angle": (lambda q: -2 * ca.sin(q / 2) - ca.cos(q), 3),
+    "quarter of an angle": (lambda q: -8 * ca.sin(q / 4) - ca.cos(q), 4),
+    "product of an irrational": (lambda q: -2 * ca.sin(0.3718 * q) / 0.3718 - ca.cos(q), 4),
+    "slow saturation": (lambda q: 20 * ca.log(ca.cosh(q / 20)) - ca.cos(q), 3),
+    "slow arctangent": (lambda q: 20 * q * ca.atan(q / 20) - 200 * ca.log(1 + q**2 / 400) - ca.cos(q), 3),
+}
+
+
+@pytest.mark.parametrize("name", LONG_PERIODS)
+def test_a_gradient_with_another_period_is_not_bounded_over_one_turn(name):
+    V, supremum = LONG_PERIODS[name]
+    claim, interval = _pendulum(V, supremum - 0.5)
+    assert claim.status is not Status.PROVED
+    assert interval is None or interval[1] >= supremum - 1e-6 or name == "half an angle"
+
+
+def test_two_harmonics_are_bounded_tightly_over_one_turn():
+    """sin q + sin 2q has the maximum 1.7601725."""
+    claim, interval = _pendulum(lambda q: -ca.cos(q) - ca.cos(2 * q) / 2, "2.7603")
+    assert claim.status is Status.PROVED
+    assert interval[1] == pytest.approx(2.7601725, abs=1e-5)
+    assert interval[1] >= 2.7601725
+    assert _pendulum(lambda q: -ca.cos(q) - ca.cos(2 * q) / 2, "2.76")[0].status is not Status.PROVED
+
+
+def test_an_unbounded_potential_is_not_proved():
+    claim, interval = _pendulum(lambda q: q**2, 5)
+    assert claim.status is Status.UNDECIDED
+    assert interval is None
+
+
+def test_an_unbounded_potential_is_bounded_on_its_domain():
+    claim, interval = _pendulum(lambda q: q**2, 3, domain={"q": (-1, 1)})
+    assert claim.status is Status.PROVED
+    assert interval == [-3, 3]
+    assert _pendulum(lambda q: q**2, "2.999", domain={"q": (-1, 1)})[0].status is not Status.PROVED
