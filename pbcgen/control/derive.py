@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from pbcgen.control.attractivity import Situation
 from pbcgen.control.closed_loop import ClosedLoop
 from pbcgen.control.graph import Interface, LawGraph, Needs, build, control_law, needs
 from pbcgen.control.law import ControlLaw, Precision, Signal
@@ -36,6 +37,7 @@ from pbcgen.passivity.shaping import (
     shape_at,
 )
 from pbcgen.passivity.storage import Storage, assumption_1
+from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import CLAIMS, Claim, Status
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.real import approximate
@@ -145,7 +147,7 @@ def derive(design: Design, progress: Progress = None) -> Derivation:
         stages.add(theta_verdict.claim)
     at_target = None
     if equilibrium.point is not None:
-        at_target = _AtTarget(plant, design, law, equilibrium.point, output, storage, eta)
+        at_target = _AtTarget(plant, design, law, equilibrium.point, output, storage, bounds)
         numbers |= stages.run("at the target", lambda: at_target.decide(stages))
     numbers |= _bounds_as_numbers(bounds, theta_verdict)
     _fill(stages, law, equilibrium, output)
@@ -247,10 +249,11 @@ class _AtTarget:
         point: Point,
         output: PassiveOutputResult | None,
         storage: Storage,
-        eta: ca.SX | None,
+        bounds: NaturalDampingBounds | None,
     ) -> None:
         self.plant, self.design, self.law, self.point = plant, design, law, point
-        self.output, self.storage, self.eta = output, storage, eta
+        self.output, self.storage, self.bounds = output, storage, bounds
+        self.eta = bounds.eta if bounds is not None else None
         self.graph: LawGraph | None = None
         self.interface: Interface | None = None
 
@@ -282,7 +285,7 @@ class _AtTarget:
         self.graph = build(self.law, measurement, self.point, read)
         loop = ClosedLoopSlope.of(self.plant, self.point, self.graph)
         verdicts: StabilityVerdicts = stages.run(
-            "stability", lambda: stability(loop, self.law, stages.claims, self.design.sample_period)
+            "stability", lambda: stability(self._situation(loop, stages), self.design.sample_period)
         )
         stages.add(*verdicts.claims)
         if intervals is not None and all(lo < hi for lo, hi in intervals):
@@ -293,14 +296,32 @@ class _AtTarget:
         numbers["state_names"] = list(system.state_names)
         return numbers
 
+    def _situation(self, loop: ClosedLoopSlope, stages: _Stages) -> Situation:
+        assert self.output is not None
+        return Situation(
+            self.plant,
+            self.point,
+            self.law,
+            self.output.gamma,
+            self.eta,
+            self._structure(),
+            self.bounds,
+            loop,
+            stages.claims,
+        )
+
+    def _structure(self) -> PowerStructure | None:
+        """The power structure, if it proves Assumption 1 and gives gamma."""
+        proved = self.output is not None and self.output.matched and self.storage.proved
+        return self.storage.structure if proved else None
+
     def _shape(self, stages: _Stages) -> dict[str, Any]:
         assert self.output is not None
         base = _base(self.law)
         shape: Shape = shape_at(
             self.plant, self.point, self.output.gamma, compensated=isinstance(base, PotentialCompensation)
         )
-        structure = self.storage.structure if self.output.matched and self.storage.proved else None
-        stages.add(gradient_condition(self.plant, self.point, shape, structure))
+        stages.add(gradient_condition(self.plant, self.point, shape, self._structure()))
         alpha, beta = (
             (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)  # type: ignore[union-attr]
         )

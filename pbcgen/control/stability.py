@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
-from pbcgen.control.linearisation import ClosedLoopSlope
+from pbcgen.control.attractivity import Situation, beyond_linearisation, globally
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.spectrum import Stability, hurwitz, schur
-from pbcgen.symbolic.real import Real, approximate
+from pbcgen.symbolic.real import approximate
 
 _LINEARISATION = "linearisation: characteristic polynomial and Routh array in exact or ball arithmetic"
 
@@ -36,19 +36,20 @@ def lyapunov_premises(law: Law) -> tuple[str, ...]:
     return (*filtered, "assumption-3", "theta") if isinstance(law, NaturalDamping) else filtered
 
 
-def stability(loop: ClosedLoopSlope, law: Law, found: Mapping[str, Claim], h: Fraction) -> StabilityVerdicts:
+def stability(situation: Situation, h: Fraction) -> StabilityVerdicts:
     """Decide `stable`, `asymptotically-stable`, `globally-asymptotically-stable` and `sampled-stable`."""
+    loop, law, found = situation.loop, situation.law, situation.found
     continuous = hurwitz(loop.continuous())
     sampled = schur(loop.sampled(h))
     largest = loop.scan(h)
     premises = lyapunov_premises(law)
     missing = [name for name in premises if found[name].status is not Status.PROVED]
     by_lyapunov = bool(premises) and not missing
-    asymptotic = _asymptotic(continuous, by_lyapunov, missing, law)
+    asymptotic = _asymptotic(continuous, by_lyapunov, missing, situation)
     claims = (
         _stable(continuous, by_lyapunov, premises, missing),
         asymptotic,
-        _global(missing, law),
+        globally(situation, by_lyapunov, asymptotic),
         _sampled(sampled, h, largest, asymptotic),
     )
     return StabilityVerdicts(claims, continuous.extreme, sampled.extreme, largest)
@@ -84,7 +85,7 @@ def _first_hint(missing: Sequence[str]) -> str:
     return f"satisfy {missing[0]}" if missing else "add damping to the mode on the imaginary axis"
 
 
-def _asymptotic(continuous: Stability, by_lyapunov: bool, missing: Sequence[str], law: Law) -> Claim:
+def _asymptotic(continuous: Stability, by_lyapunov: bool, missing: Sequence[str], situation: Situation) -> Claim:
     if continuous.status is Status.PROVED:
         route = "the Lyapunov route holds too" if by_lyapunov else f"the Lyapunov route is {_why_not(missing)}"
         return Claim(
@@ -97,6 +98,9 @@ def _asymptotic(continuous: Stability, by_lyapunov: bool, missing: Sequence[str]
         )
     if continuous.status is Status.REFUTED:
         return _unstable("asymptotically-stable", continuous)
+    decided = beyond_linearisation(situation, by_lyapunov)
+    if decided is not None:
+        return decided
     return Claim(
         "asymptotically-stable",
         Status.UNDECIDED,
@@ -119,21 +123,6 @@ def _unstable(claim: str, continuous: Stability) -> Claim:
     )
 
 
-def _global(missing: Sequence[str], law: Law) -> Claim:
-    """Not attempted yet: local claims never imply it."""
-    what = "needs assumption-1 and the invariant set on the whole space, and a radially unbounded Lyapunov function"
-    if isinstance(law, Integral):
-        what = "linearisation gives local stability only"
-    return Claim(
-        "globally-asymptotically-stable",
-        Status.UNDECIDED,
-        "all x",
-        "not attempted",
-        what,
-        "rely on the local claim, or simulate from the initial states that matter",
-    )
-
-
 def _sampled(sampled: Stability, h: Fraction, largest: float | None, asymptotic: Claim) -> Claim:
     method = "exact zero-order hold, linearised implicit step, Routh array after a Moebius map, in ball arithmetic"
     limit = "no limit found" if largest is None else f"largest stable h about {largest:.4g} s"
@@ -150,8 +139,3 @@ def _sampled(sampled: Stability, h: Fraction, largest: float | None, asymptotic:
         hint = "lower the gains alpha*beta and R_c, or model the friction that the plant has"
     counterexample = {"spectral_radius": f"{sampled.extreme:.9g}"} if sampled.status is Status.REFUTED else None
     return Claim("sampled-stable", sampled.status, "sampled loop", method, evidence, hint, counterexample)
-
-
-def figures(values: Sequence[Real]) -> list[float]:
-    """Numbers for JSON."""
-    return [approximate(v) for v in values]

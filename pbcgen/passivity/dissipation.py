@@ -16,12 +16,13 @@ import casadi as ca
 from flint import fmpq
 
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.models.gains import Matrix
 from pbcgen.models.laws import NaturalDamping
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.shaping import congruence, diagonal, exact_matrix, multiply, transpose
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import RealMatrix, eigenvalues, positive_semidefinite
+from pbcgen.proof.definite import RealMatrix, eigenvalues, positive_definite, positive_semidefinite
 from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
@@ -271,14 +272,9 @@ def theta(bounds: NaturalDampingBounds, law: NaturalDamping) -> ThetaVerdict:
             "satisfy assumption-3 first",
         )
         return ThetaVerdict(claim, None, None)
-    upsilon = exact_matrix(law.Upsilon)
-    compliance_l = diagonal([fmpq(1) / v for v in bounds.Lambda_l])
-    m = len(bounds.Lambda_c)
-    bound = congruence(upsilon, compliance_l)
-    bound = [[(bound[i][j] + (1 / bounds.Lambda_c[i] if i == j else ZERO)) / 4 for j in range(m)] for i in range(m)]
-    product = [law.K_l[i][i] * law.R_l[i][i] for i in range(m)]
-    difference = [[(rational(product[i]) if i == j else ZERO) - bound[i][j] for j in range(m)] for i in range(m)]
-    verdict = positive_semidefinite(difference)
+    bound = _required(bounds.Lambda_l, bounds.Lambda_c, law.Upsilon)
+    product = _filter_gain(law)
+    verdict = positive_semidefinite(_excess(product, bound))
     smallest = eigenvalues(bound)[-1]
     given = ", ".join(f"{float(p):.6g}" for p in product)
     evidence = f"K_l R_l = {given}; sufficient and, for these Lambda, necessary: {smallest:.6g}"
@@ -292,9 +288,32 @@ def theta(bounds: NaturalDampingBounds, law: NaturalDamping) -> ThetaVerdict:
             "Schur complement over the rationals",
             evidence,
             f"raise K_l R_l to {smallest:.6g}",
-            _theta_witness(upsilon, compliance_l, bounds.Lambda_c, law, verdict.witness or ()),
+            _theta_witness(
+                exact_matrix(law.Upsilon),
+                diagonal([fmpq(1) / v for v in bounds.Lambda_l]),
+                bounds.Lambda_c,
+                law,
+                verdict.witness or (),
+            ),
         )
     return ThetaVerdict(claim, bound, smallest)
+
+
+def _required(Lambda_l: Sequence[Real], Lambda_c: Sequence[Real], upsilon: Matrix) -> RealMatrix:
+    """``(Upsilon Lambda_l^-1 Upsilon^T + Lambda_c^-1) / 4``."""
+    spread = congruence(exact_matrix(upsilon), diagonal([fmpq(1) / v for v in Lambda_l]))
+    own = diagonal([fmpq(1) / v for v in Lambda_c])
+    return [[(a + b) / 4 for a, b in zip(p, q, strict=True)] for p, q in zip(spread, own, strict=True)]
+
+
+def _filter_gain(law: NaturalDamping) -> list[Fraction]:
+    """The diagonal of K_l R_l."""
+    return [law.K_l[i][i] * law.R_l[i][i] for i in range(len(law.K_l))]
+
+
+def _excess(product: Sequence[Fraction], bound: RealMatrix) -> RealMatrix:
+    """``K_l R_l - bound``."""
+    return [[(rational(product[i]) if i == j else ZERO) - v for j, v in enumerate(row)] for i, row in enumerate(bound)]
 
 
 def _theta_witness(
@@ -320,3 +339,11 @@ def _theta_witness(
         "x_l'": [text(v) for v in x_l_rate],
         "Theta form": text(value, 9),
     }
+
+
+def theta_is_strict(bounds: NaturalDampingBounds, law: NaturalDamping) -> bool:
+    """Whether Theta > 0: then the Lyapunov function rests only where eta', y and x_l' vanish."""
+    if bounds.Lambda_l is None or bounds.Lambda_c is None or law.Upsilon is None:
+        return False
+    excess = _excess(_filter_gain(law), _required(bounds.Lambda_l, bounds.Lambda_c, law.Upsilon))
+    return positive_definite(excess).status is Status.PROVED

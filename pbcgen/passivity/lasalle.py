@@ -1,0 +1,354 @@
+"""The largest invariant set on which the Lyapunov function rests (LaSalle), by Lie derivatives and elimination.
+
+On that set the dissipation vanishes, ``B v = 0`` and ``rho^T grad S = 0``; the filters rest, so gamma is constant and
+``u = u_c(x) + ubar`` with constant ubar (u_c is the potential compensation, zero for the other laws). Every equation
+that holds along the trajectories of the set has a Lie derivative that holds too. An equation is used to eliminate a
+state when it is linear in it with a constant coefficient; before that it is stripped of factors that never vanish, of
+odd monotone functions, and split when it is a sum of terms of one sign. All of this is exact, on the whole space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import casadi as ca
+from flint import fmpq, fmpq_mpoly
+
+from pbcgen.passivity.plant import Plant
+from pbcgen.passivity.structure import PowerStructure
+from pbcgen.proof.nonnegative import nonnegative, positive
+from pbcgen.symbolic.field import Field, Quotient, evaluate
+from pbcgen.symbolic.tape import Tape
+
+#: Lie derivatives of an equation are followed up to this many times the number of states.
+_ROUNDS = 3
+
+#: Odd strictly increasing functions: they vanish only with their argument.
+_MONOTONE_KINDS = frozenset({"tanh", "atan", "asinh", "erf", "asin", "atanh"})
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """What moves on the invariant set: ``x' = f + g (u_c + ubar)`` with constant ubar.
+
+    Attributes:
+        plant: the system.
+        constant: the m symbols ubar.
+        drift: n x 1 expression of x, ubar and the parameters.
+        base: equations that hold on the set from the start, a column.
+    """
+
+    plant: Plant
+    constant: ca.SX
+    drift: ca.SX
+    base: ca.SX
+
+
+def flow(
+    plant: Plant, structure: PowerStructure, gamma: ca.SX, compensation: ca.SX | None, still: ca.SX | None = None
+) -> Flow:
+    """The flow on the set where the dissipation vanishes and gamma (and ``still``) is constant.
+
+    Args:
+        plant: the system.
+        structure: a power structure that proves Assumption 1, with grad gamma = -F^-1 g (or -A g).
+        gamma: m x 1.
+        compensation: u_c, m x 1, or None.
+        still: other functions that are constant on the set (eta for natural damping), or None.
+    """
+    system = plant.system
+    ubar = ca.SX.sym("ubar", system.m)
+    u = ubar if compensation is None else compensation + ubar
+    drift = system.f + ca.mtimes(system.g, u)
+    psi = ca.jacobian(gamma, system.x).T
+    v = plant.gradient - ca.mtimes(psi, u) if structure.form == "F" else drift
+    rest = [ca.mtimes(structure.dissipation(), v), ca.dot(structure.remainder, plant.gradient)]
+    rest.append(ca.mtimes(psi.T, drift))
+    if still is not None:
+        rest.append(ca.mtimes(ca.jacobian(still, system.x), drift))
+    return Flow(plant, ubar, drift, ca.vertcat(*rest))
+
+
+@dataclass(frozen=True, eq=False)
+class InvariantSet:
+    """What elimination leaves.
+
+    Attributes:
+        solved: states as expressions of the free states and ubar, by position.
+        free: positions of the states that are left.
+        pending: equations that could not be used, as expressions.
+        inputs: components of ubar that are determined, by position (0 or an expression of the other ones).
+        resting: whether x' = 0 on the whole set: it consists of equilibria.
+        closed: whether every Lie derivative was followed to the end.
+        steps: the chain of implications in words.
+    """
+
+    solved: dict[int, ca.SX]
+    free: tuple[int, ...]
+    pending: tuple[ca.SX, ...]
+    inputs: dict[int, ca.SX]
+    resting: bool
+    closed: bool
+    steps: tuple[str, ...]
+
+
+@dataclass
+class _Elimination:
+    flow: Flow
+    names: list[str]
+    symbols: list[ca.SX]
+    solved: dict[int, ca.SX] = field(default_factory=dict)
+    pending: list[ca.SX] = field(default_factory=list)
+    relations: list[ca.SX] = field(default_factory=list)
+    steps: list[str] = field(default_factory=list)
+
+    @property
+    def states(self) -> int:
+        return int(self.flow.plant.system.n)
+
+    def substitute(self, expression: ca.SX) -> ca.SX:
+        """The expression with solved variables replaced."""
+        if not self.solved:
+            return expression
+        old = ca.vertcat(*[self.symbols[k] for k in self.solved])
+        return ca.substitute(expression, old, ca.vertcat(*self.solved.values()))
+
+    def exact(self, *expressions: ca.SX) -> tuple[Field, list[Quotient]]:
+        """Scalar expressions as exact functions of states and ubar, at the parameter values."""
+        plant = self.flow.plant
+        parameters = ca.SX(plant.system.parameters.symbols)
+        tape = Tape.of([ca.vertcat(*self.symbols), parameters], [ca.vertcat(*expressions)])
+        names = [*self.names, *plant.system.parameters.names]
+        field_, (values,) = evaluate(tape, names, plant.values)
+        return field_, values.column(field_.const(0))
+
+    def to_sx(self, element: Quotient) -> ca.SX:
+        parameters = ca.vertsplit(ca.SX(self.flow.plant.system.parameters.symbols))
+        return element.field.to_sx(element, [*self.symbols, *(parameters if self.flow.plant.values else [])])
+
+    # --- one equation ---------------------------------------------------------------------------------------------
+
+    def use(self, expression: ca.SX) -> bool:
+        """Take in ``expression = 0``; whether it was used up (else it is pending)."""
+        _, (value,) = self.exact(self.substitute(expression))
+        if value.is_zero():
+            return True
+        factors = [f for part in _parts(value) for f in [_essential(part)]]
+        used = True
+        for factor in factors:
+            if factor is None:
+                used = False
+                continue
+            used = self._solve(factor) and used
+        return used
+
+    def _solve(self, factor: Quotient) -> bool:
+        """Eliminate a variable from ``factor = 0``."""
+        for k in self._order(factor):
+            coefficient, rest = linear_in(factor, k)
+            if coefficient is None or rest is None:
+                continue
+            value = self.to_sx(-rest)
+            symbol = self.symbols[k]
+            if not self.vanishes(self.to_sx(factor) - _scaled(coefficient, symbol - value)):
+                continue
+            for j in list(self.solved):
+                self.solved[j] = ca.substitute(self.solved[j], symbol, value)
+            self.solved[k] = value
+            self.relations.append(symbol - value)
+            self.steps.append(f"{self.names[k]} = {_short(value)}")
+            return True
+        expression = self.to_sx(factor)
+        self.pending.append(expression)
+        return False
+
+    def _order(self, factor: Quotient) -> list[int]:
+        """Variables by preference: states first (momenta and currents before ubar)."""
+        present = factor.generators()
+        return [k for k in range(len(self.symbols)) if k in present]
+
+    # --- rounds ---------------------------------------------------------------------------------------------------
+
+    def run(self) -> bool:
+        """Use equations and their Lie derivatives until nothing new appears; whether that point was reached."""
+        queue = [self.flow.base[k] for k in range(self.flow.base.numel())]
+        for _ in range(_ROUNDS * self.states):
+            self.pending.clear()
+            waiting = [e for e in queue if not self.use(e)]
+            waiting = self._linear_block(waiting)
+            fresh = [e for e in self._derivatives(waiting) if not self.vanishes(e)]
+            if not fresh:
+                self.pending = [e for e in (self.substitute(w) for w in waiting) if not self.vanishes(e)]
+                return True
+            queue = [*waiting, *fresh]
+        return False
+
+    def _derivatives(self, waiting: Sequence[ca.SX]) -> list[ca.SX]:
+        state = self.flow.plant.system.x
+        return [
+            self.substitute(ca.mtimes(ca.jacobian(relation, state), self.flow.drift))
+            for relation in [*self.relations, *waiting]
+        ]
+
+    def vanishes(self, expression: ca.SX) -> bool:
+        """Whether the expression is zero on the set, as far as it is known."""
+        _, (value,) = self.exact(self.substitute(expression))
+        return value.is_zero()
+
+    def _linear_block(self, waiting: list[ca.SX]) -> list[ca.SX]:
+        """Equations ``A(q) z = 0`` in as many states z: they give z = 0 when det A never vanishes."""
+        mechanics = self.flow.plant.system.mechanical
+        if mechanics is None or not waiting:
+            return waiting
+        left = [k for k in range(self.states) if k not in self.solved]
+        momenta = [k for k in left if k >= self.states // 2]
+        column = ca.vertcat(*[self.substitute(w) for w in waiting])
+        z = ca.vertcat(*[self.symbols[k] for k in momenta]) if momenta else ca.SX(0, 1)
+        if not momenta:
+            return waiting
+        matrix = ca.jacobian(column, z)
+        if ca.depends_on(matrix, z):
+            return waiting
+        rows = [
+            i
+            for i in range(column.numel())
+            if matrix[i, :].nnz() and self.vanishes(column[i] - ca.mtimes(matrix[i, :], z))
+        ]
+        if len(rows) < len(momenta):
+            return waiting
+        for start in range(len(rows) - len(momenta) + 1):
+            chosen = rows[start : start + len(momenta)]
+            _, (determinant,) = self.exact(_determinant(matrix[chosen, :]))
+            if not determinant.is_zero() and _never_zero(determinant):
+                for k in momenta:
+                    self._assign_zero(k)
+                return [w for i, w in enumerate(waiting) if i not in rows]
+        return waiting
+
+    def _assign_zero(self, k: int) -> None:
+        zero = ca.SX(0)
+        for j in list(self.solved):
+            self.solved[j] = ca.substitute(self.solved[j], self.symbols[k], zero)
+        self.solved[k] = zero
+        self.relations.append(self.symbols[k])
+        self.steps.append(f"{self.names[k]} = 0")
+
+
+def invariant_set(flow_: Flow, fixed: ca.SX | None = None, extra: ca.SX | None = None) -> InvariantSet:
+    """Eliminate as far as possible.
+
+    Args:
+        flow_: the flow and its base equations.
+        fixed: exact values of ubar, when they are known.
+        extra: further equations that hold on the set, a column.
+
+    Raises:
+        UnsupportedOperation: for models that are not analytic.
+    """
+    plant = flow_.plant
+    m = plant.system.m
+    base, drift = flow_.base, flow_.drift
+    if extra is not None:
+        base = ca.vertcat(base, extra)
+    if fixed is not None:
+        base = ca.substitute(base, flow_.constant, fixed)
+        drift = ca.substitute(drift, flow_.constant, fixed)
+    symbols = [*ca.vertsplit(plant.system.x), *ca.vertsplit(flow_.constant)]
+    names = [*plant.system.state_names, *[f"ubar_{i + 1}" if m > 1 else "ubar" for i in range(m)]]
+    work = _Elimination(Flow(plant, flow_.constant, drift, base), names, symbols)
+    closed = work.run()
+    n = plant.system.n
+    velocity = work.substitute(drift)
+    resting = closed and all(work.vanishes(velocity[k]) for k in range(n))
+    return InvariantSet(
+        {k: v for k, v in work.solved.items() if k < n},
+        tuple(k for k in range(n) if k not in work.solved),
+        tuple(work.pending),
+        {k - n: v for k, v in work.solved.items() if k >= n},
+        resting,
+        closed,
+        tuple(work.steps),
+    )
+
+
+# --- simplification of one equation ---------------------------------------------------------------------------------
+
+
+def _parts(value: Quotient) -> list[Quotient]:
+    """``value = 0`` as several equations: a sum of terms of one sign vanishes only if each does."""
+    field_ = value.field
+    terms = value.numerator.to_dict()
+    for sign in (1, -1):
+        if len(terms) > 1 and all(
+            nonnegative(field_.polynomial(field_.context.from_dict({e: c * sign}))) for e, c in terms.items()
+        ):
+            return [field_.polynomial(field_.context.from_dict({e: c})) for e, c in terms.items()]
+    return [field_.polynomial(value.numerator)]
+
+
+def _essential(value: Quotient) -> Quotient | None:
+    """The factor that must vanish, or None when there is none or more than one to choose from."""
+    field_ = value.field
+    _, factors = value.numerator.factor()
+    candidates: list[Quotient] = []
+    for factor, _ in factors:
+        element = _through_monotone(field_.polynomial(factor))
+        if not _never_zero(element):
+            candidates.append(element)
+    unique = {str(c.numerator): c for c in candidates}
+    return next(iter(unique.values())) if len(unique) == 1 else None
+
+
+def _through_monotone(element: Quotient) -> Quotient:
+    """An atom T(xi) of an odd increasing function vanishes where xi does."""
+    terms = element.numerator.to_dict()
+    if len(terms) != 1:
+        return element
+    ((exponents, _),) = terms.items()
+    used = [k for k, e in enumerate(exponents) if e]
+    if len(used) != 1 or exponents[used[0]] != 1:
+        return element
+    atom = element.field.atoms.get(used[0])
+    return element.field.polynomial(atom.argument.numerator) if atom and atom.kind in _MONOTONE_KINDS else element
+
+
+def _never_zero(element: Quotient) -> bool:
+    if element.constant() is not None:
+        return not element.is_zero()
+    return positive(element) or positive(-element)
+
+
+def linear_in(element: Quotient, k: int) -> tuple[fmpq | None, Quotient | None]:
+    """``element = coefficient * (v_k + rest)`` with a constant coefficient and v_k nowhere else, or (None, None)."""
+    field_ = element.field
+    coefficient = fmpq(0)
+    rest: dict[tuple[int, ...], fmpq] = {}
+    inside = {a for a, atom in field_.atoms.items() if k in atom.argument.symbols()}
+    for exponents, value in element.numerator.to_dict().items():
+        power = int(exponents[k])
+        if any(exponents[a] for a in inside):
+            return None, None
+        if power == 0:
+            rest[tuple(exponents)] = value
+        elif power == 1 and sum(exponents) == 1:
+            coefficient = value
+        else:
+            return None, None
+    if coefficient == 0:
+        return None, None
+    polynomial: fmpq_mpoly = field_.context.from_dict(rest)
+    return coefficient, field_.polynomial(polynomial / coefficient)
+
+
+def _scaled(coefficient: fmpq, expression: ca.SX) -> ca.SX:
+    return expression * float(int(coefficient.p)) / float(int(coefficient.q))
+
+
+def _determinant(matrix: ca.SX) -> ca.SX:
+    return ca.det(matrix) if matrix.shape[0] > 1 else matrix[0, 0]
+
+
+def _short(value: ca.SX) -> str:
+    text = str(value)
+    return text if len(text) <= 60 else "an expression of the others"

@@ -1,0 +1,277 @@
+"""Formulas as SymPy expressions, for LaTeX and MathML.
+
+Two ways lead here: the instruction tape, which keeps the form that the user wrote, and exact rational functions, whose
+coefficients are factored. SymPy expressions are trees, and a tree may be exponentially larger than the tape that it
+comes from; therefore the size is counted on the tape first, and what is too large becomes :class:`TooLarge`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import casadi as ca
+import sympy
+from flint import fmpq, fmpq_mpoly
+from sympy.printing.latex import LatexPrinter
+
+from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.real import fraction
+from pbcgen.symbolic.tape import Matrix, Tape
+
+#: A formula of more operations than this is not worth reading.
+LARGEST = 160
+
+_GREEK = frozenset(
+    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau phi chi psi omega "
+    "Gamma Delta Theta Lambda Xi Pi Sigma Phi Psi Omega Upsilon".split()
+)
+
+
+@dataclass(frozen=True)
+class TooLarge:
+    """A formula that is not written out, and how many operations it has as a tree."""
+
+    operations: int
+
+    @property
+    def latex(self) -> str:
+        """What stands in its place."""
+        return rf"\text{{({size_text(self.operations)}: not written out)}}"
+
+
+Formula = sympy.Expr | TooLarge
+
+
+def size_text(operations: int) -> str:
+    """``1234 operations``; beyond a million only the order of magnitude, which is all that matters then."""
+    return f"{operations} operations" if operations < 10**6 else f"more than 10^{len(str(operations)) - 1} operations"
+
+
+# --- numbers and names -------------------------------------------------------------------------------------------
+
+
+def number(value: Fraction) -> Any:
+    """A rational for a reader: a small fraction stays one, anything else is a decimal of twelve digits."""
+    if value.denominator <= 16:
+        return sympy.Rational(value.numerator, value.denominator)
+    return sympy.Float(f"{float(value):.12g}", 12)
+
+
+def symbol(name: str) -> sympy.Symbol:
+    """The symbol for a name of the model."""
+    return sympy.Symbol(name, real=True)
+
+
+def name_as_latex(name: str) -> str:
+    """``x1`` is x_{1}, ``alpha_c`` is alpha with an index, ``link_momentum`` has a word as its base and its index."""
+    base, _, index = name.strip("_").partition("_")
+    if not index and (split := re.fullmatch(r"([A-Za-z]+?)(\d+)", base)):
+        base, index = split.groups()
+    word = _word(base)
+    return f"{word}_{{{_word(index)}}}" if index else word
+
+
+def _word(text: str) -> str:
+    if text in _GREEK:
+        return rf"\{text}"
+    if len(text) == 1 or text.isdigit():
+        return text
+    return rf"\text{{{text.replace('_', ' ')}}}"
+
+
+# --- from the tape -----------------------------------------------------------------------------------------------
+
+
+class SympyAlgebra:
+    """The operations of the tape on SymPy expressions."""
+
+    def const(self, value: Fraction) -> Any:
+        return number(value)
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        try:
+            return _OPERATIONS[name]
+        except KeyError:
+            raise AttributeError(name) from None
+
+
+_OPERATIONS: Mapping[str, Callable[..., Any]] = {
+    "assign": lambda a: a,
+    "assign_first": lambda a, _: a,
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+    "neg": lambda a: -a,
+    "twice": lambda a: 2 * a,
+    "sq": lambda a: a**2,
+    "inv": lambda a: 1 / a,
+    "pow": lambda a, b: a**b,
+    "hypot": lambda a, b: sympy.sqrt(a**2 + b**2),
+    "expm1": lambda a: sympy.exp(a) - 1,
+    "log1p": lambda a: sympy.log(1 + a),
+    "fabs": sympy.Abs,
+    "fmin": sympy.Min,
+    "fmax": sympy.Max,
+    "fmod": sympy.Mod,
+    "ceil": sympy.ceiling,
+    "lt": sympy.StrictLessThan,
+    "le": sympy.LessThan,
+    "eq": sympy.Eq,
+    "ne": sympy.Ne,
+    "not_": sympy.Not,
+    "and_": sympy.And,
+    "or_": sympy.Or,
+    "if_else_zero": lambda c, a: sympy.Piecewise((a, c), (0, True)),
+    **{
+        name: getattr(sympy, name)
+        for name in (
+            "exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh atan2 erf erfinv floor sign".split()
+        )
+    },
+}
+
+
+class _TreeSize:
+    """How many operations the tree of a value has; an algebra of the tape."""
+
+    def const(self, _: Fraction) -> int:
+        return 0
+
+    def __getattr__(self, _: str) -> Callable[..., int]:
+        return lambda *operands: 1 + sum(operands)
+
+
+def from_sx(expression: ca.SX, symbols: Sequence[ca.SX], largest: int = LARGEST) -> list[list[Formula]]:
+    """The entries of an SX matrix, in the names of ``symbols``; those of more than ``largest`` operations are too large.
+
+    Raises:
+        ModelError: the expression contains a symbol that is not among ``symbols``.
+        UnsupportedOperation: an operation has no SymPy counterpart.
+    """
+    columns = [ca.vertsplit(ca.vec(ca.SX(s))) if ca.SX(s).numel() else [] for s in symbols]
+    names = [[symbol(entry.name()) for entry in column] for column in columns]
+    expression = ca.SX(expression)
+    return [
+        [_entry(expression[i, j], symbols, names, largest) for j in range(expression.shape[1])]
+        for i in range(expression.shape[0])
+    ]
+
+
+def _entry(
+    expression: ca.SX, symbols: Sequence[ca.SX], names: Sequence[Sequence[sympy.Symbol]], largest: int
+) -> Formula:
+    tape = Tape.of(list(symbols), [ca.densify(expression)])
+    sizes: list[Matrix[int]] = tape.walk(_TreeSize(), [[0] * len(column) for column in names])
+    operations = sizes[0].scalar(0)
+    if operations > largest:
+        return TooLarge(operations)
+    values: list[Matrix[Any]] = tape.walk(SympyAlgebra(), names)
+    result: Formula = sympy.sympify(values[0].scalar(sympy.Integer(0)))
+    return result
+
+
+# --- from exact functions ----------------------------------------------------------------------------------------
+
+
+def from_function(function: Quotient, parameters: Iterable[int] = (), largest: int = LARGEST) -> Formula:
+    """An exact function, grouped by state and atom; symbols in ``parameters`` form the factored coefficients."""
+    operations = len(function.numerator) + len(function.denominator)
+    if operations > largest:
+        return TooLarge(operations)
+    result: Formula = _Exact(function.field, frozenset(parameters)).function(function)
+    return result
+
+
+class _Exact:
+    """Functions of one field as SymPy expressions."""
+
+    def __init__(self, field: Field, parameters: frozenset[int]) -> None:
+        self.field = field
+        self.parameters = parameters | {k for k, a in field.atoms.items() if a.argument.symbols() <= parameters}
+        self._generators: dict[int, Any] = {}
+
+    def generator(self, k: int) -> Any:
+        if k not in self._generators:
+            if k < self.field.symbol_count:
+                self._generators[k] = symbol(self.field.names[k])
+            else:
+                atom = self.field.atoms[k]
+                self._generators[k] = getattr(sympy, atom.kind)(self.function(atom.argument))
+        return self._generators[k]
+
+    def function(self, function: Quotient) -> Any:
+        denominator = function.denominator
+        if any(degree and k not in self.parameters for k, degree in enumerate(denominator.degrees())):
+            return self._ratio(function.numerator, denominator)
+        groups: dict[tuple[int, ...], dict[tuple[int, ...], fmpq]] = {}
+        for raw, coefficient in function.numerator.to_dict().items():
+            exponents = tuple(int(e) for e in raw)
+            state = tuple(0 if k in self.parameters else e for k, e in enumerate(exponents))
+            rest = tuple(e if k in self.parameters else 0 for k, e in enumerate(exponents))
+            groups.setdefault(state, {})[rest] = coefficient
+        total: Any = sympy.Integer(0)
+        for state, terms in sorted(groups.items()):
+            coefficient_function = self.field.quotient(self.field.context.from_dict(terms), denominator)
+            ratio = self._ratio(coefficient_function.numerator, coefficient_function.denominator)
+            total += ratio * self._power_product(state)
+        return total
+
+    def _ratio(self, numerator: fmpq_mpoly, denominator: fmpq_mpoly) -> Any:
+        return self._factored(numerator) / self._factored(denominator)
+
+    def _factored(self, polynomial: fmpq_mpoly) -> Any:
+        if polynomial.is_zero():
+            return sympy.Integer(0)
+        scale, factors = polynomial.factor()
+        result = number(fraction(fmpq(scale)))
+        for factor, exponent in factors:
+            result *= self._sum(factor) ** int(exponent)
+        return result
+
+    def _sum(self, polynomial: fmpq_mpoly) -> Any:
+        total: Any = sympy.Integer(0)
+        for raw, coefficient in polynomial.to_dict().items():
+            total += number(fraction(coefficient)) * self._power_product(tuple(int(e) for e in raw))
+        return total
+
+    def _power_product(self, exponents: tuple[int, ...]) -> Any:
+        result: Any = sympy.Integer(1)
+        for k, exponent in enumerate(exponents):
+            if exponent:
+                result *= self.generator(k) ** exponent
+        return result
+
+
+# --- to LaTeX ----------------------------------------------------------------------------------------------------
+
+
+class _Printer(LatexPrinter):  # type: ignore[misc]
+    """SymPy's LaTeX printer with the names of the model, short decimals and plain brackets."""
+
+    def _print_Symbol(self, expr: sympy.Symbol, style: str = "plain") -> str:
+        return name_as_latex(expr.name)
+
+    def _print_Float(self, expr: sympy.Float) -> str:
+        return decimal_as_latex(float(expr), 10)
+
+
+def decimal_as_latex(value: float, digits: int = 6) -> str:
+    """A number in the given digits; 2.2e-07 is 2.2 times a power of ten."""
+    shown = f"{value:.{digits}g}"
+    mantissa, _, exponent = shown.partition("e")
+    if not exponent:
+        return mantissa
+    power = rf"10^{{{int(exponent)}}}"
+    return power if mantissa == "1" else rf"{mantissa} \cdot {power}"
+
+
+def latex(formula: Formula) -> str:
+    """LaTeX of a formula."""
+    if isinstance(formula, TooLarge):
+        return formula.latex
+    return str(_Printer({"ln_notation": True}).doprint(formula))
