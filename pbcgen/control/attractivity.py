@@ -146,7 +146,7 @@ def _decimal(value: Real) -> float | None:
 # --- local -------------------------------------------------------------------------------------------------------
 
 
-def beyond_linearisation(situation: Situation, by_lyapunov: bool, continuous: Stability) -> Claim | None:
+def beyond_linearisation(situation: Situation, by_lyapunov: bool) -> Claim | None:
     """Decide `asymptotically-stable` where the linearisation does not, or None.
 
     PROVED when the invariant set consists of equilibria and x* is an isolated one (regular Jacobian of the closed
@@ -327,6 +327,8 @@ def _only_rest(situation: Situation) -> str | None:
     """Why x* is the only equilibrium of the invariant set, or None."""
     found = situation.invariant
     assert found is not None
+    if _convex(situation):
+        return "the invariant set consists of equilibria (" + "; ".join(found.steps) + "), and the storage is convex"
     if len(found.inputs) == situation.plant.system.m and all(v.is_zero() for v in map(ca.SX, found.inputs.values())):
         zero = situation.compensation is not None or all(isinstance(u, fmpq) and u == 0 for u in situation.point.u)
         at_target = situation.at_target(situation.gamma) if zero else None
@@ -338,6 +340,36 @@ def _only_rest(situation: Situation) -> str | None:
             "the invariant set is parametrised by ubar (" + "; ".join(found.steps) + "), and (rest) is monotone in it"
         )
     return None
+
+
+def _convex(situation: Situation) -> bool:
+    """Whether equilibria of the closed loop are critical points of a convex function: then x* is the only one.
+
+    With f + g u = F (grad S - grad gamma u), F regular, a rest has ``grad (S + kappa^T gamma + Phi_c) = 0``. Phi_c and
+    kappa^T gamma are convex for affine gamma, so S convex is enough; the Hessian at x* is positive definite, which makes
+    the minimiser unique. For a mechanical system S may be replaced by V(q), because p = 0 at rest.
+    """
+    plant, structure = situation.plant, situation.structure
+    system = plant.system
+    if structure is None or structure.form != "F" or situation.compensation is not None:
+        return False
+    mechanics = system.mechanical
+    energy, variables = (mechanics.V, mechanics.q) if mechanics is not None else (system.S, system.x)
+    try:
+        field, (hessian, slope, F, rho) = plant.exact(
+            ca.hessian(energy, variables)[0],
+            ca.jacobian(situation.gamma, system.x),
+            ca.det(structure.matrix),
+            structure.remainder,
+        )
+    except (UnsupportedOperation, ZeroDivisionError):
+        return False
+    zero = field.const(0)
+    determinant = F.scalar(zero)
+    regular = not determinant.is_zero() and (positive(determinant) or positive(-determinant))
+    affine = all(entry.constant() is not None for row in slope.dense(zero) for entry in row)
+    no_remainder = all(entry.is_zero() for entry in rho.column(zero))
+    return regular and affine and no_remainder and semidefinite(hessian.dense(zero))
 
 
 def _monotone(situation: Situation, found: InvariantSet) -> bool:

@@ -22,7 +22,7 @@ from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.nonnegative import nonnegative, semidefinite
 from pbcgen.symbolic.field import Field, Quotient
-from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows, solve_square
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows, solve
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,14 +72,14 @@ def _gradients(plant: Plant, structure: PowerStructure | None) -> Iterator[tuple
 
 
 def _solve(plant: Plant, matrix: ca.SX, right: ca.SX) -> ca.SX | None:
-    """``matrix^{-1} right`` with symbolic parameters (at their values if that fails), or None when singular."""
+    """A solution of ``matrix X = right`` with symbolic parameters (at their values if that fails), or None."""
     for symbolic in (True, False):
         try:
             field, (left_values, right_values) = plant.exact(matrix, right, symbolic=symbolic)
         except (UnsupportedOperation, ZeroDivisionError):
             return None
         zero = field.const(0)
-        solutions = [solve_square(left_values.dense(zero), column, zero) for column in columns(right_values, zero)]
+        solutions = [solve(left_values.dense(zero), column, zero) for column in columns(right_values, zero)]
         if all(solution is not None for solution in solutions):
             symbols = [s for column in plant.symbols for s in ca.vertsplit(column)]
             sx = [ca.vertcat(*[field.to_sx(v, symbols) for v in s]) for s in solutions if s is not None]

@@ -93,14 +93,11 @@ def determined(solved: Mapping[Hashable, Row], zero: Any) -> dict[Hashable, Any]
     }
 
 
-def solve_square(matrix: list[list[Any]], right: list[Any], zero: Any) -> list[Any] | None:
-    """The unique solution of ``matrix x = right`` over the field, or None if there is none or more than one."""
-    rows = [{**dict(enumerate(row)), CONSTANT: -value} for row, value in zip(matrix, right, strict=True)]
+def solve(matrix: list[list[Any]], right: list[Any], zero: Any) -> list[Any] | None:
+    """A solution of ``matrix x = right`` over the field (free unknowns zero), or None if there is none."""
+    rows: list[Row] = [{**dict(enumerate(row)), CONSTANT: -value} for row, value in zip(matrix, right, strict=True)]
     try:
-        solved = reduce_rows(rows)
+        values = particular_solution(reduce_rows(rows), zero)
     except Inconsistent:
         return None
-    if len(solved) < len(matrix[0]):
-        return None
-    values = particular_solution(solved, zero)
-    return [values[k] for k in range(len(matrix[0]))]
+    return [values.get(k, zero) for k in range(len(matrix[0]))]
