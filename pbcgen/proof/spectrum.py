@@ -73,9 +73,12 @@ def approximate_eigenvalues(matrix: RealMatrix) -> list[complex]:
 
 
 def _decide(matrix: RealMatrix, coefficients: list[Real], extreme: float, beyond: bool) -> Stability:
-    """Routh's criterion for ``coefficients``; ``beyond``: an eigenvalue was certified outside."""
+    """Routh's criterion for ``coefficients``; ``beyond``: an eigenvalue was certified outside.
+
+    A leading coefficient without a certain sign (the Moebius image of an eigenvalue -1) decides nothing.
+    """
     column = routh_column(coefficients)
-    if column is not None:
+    if column is not None and sign(column[0]) in (1, -1):
         signs = {sign(entry) for entry in column}
         if len(signs) == 1:
             return Stability(Status.PROVED, extreme, tuple(column))
