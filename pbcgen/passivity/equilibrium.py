@@ -29,6 +29,7 @@ from pbcgen.symbolic.real import (
     Real,
     approximate,
     fraction,
+    is_finite,
     lower,
     precision,
     radius,
@@ -88,7 +89,7 @@ def complete(plant: Plant, design: Design) -> Equilibrium:
         known = _linear_consequences(equations)
     except Inconsistent as contradiction:
         return _refuted(plant, design, contradiction)
-    except UnsupportedOperation:
+    except (UnsupportedOperation, ZeroDivisionError):
         known = _target_values(design)
     unknown = [name for name in equations.names if name not in known]
     if not unknown:
@@ -139,7 +140,7 @@ def _verify(plant: Plant, design: Design, equations: _Equations, known: Mapping[
     if any(sign(v) in (1, -1) for v in values):
         return _not_assignable(plant, design, equations, point, values)
     if all(sign(v) == 0 for v in values):
-        outside = _outside_domain(plant, point)
+        outside = _outside_domain(plant, _by_name(plant, point))
         if outside:
             return outside
         evidence = f"f(x*) + g(x*) u* = 0 exactly at {_show(plant, point)}"
@@ -151,12 +152,16 @@ def _search(
     plant: Plant, design: Design, equations: _Equations, known: Mapping[str, Fraction], unknown: list[str]
 ) -> Equilibrium:
     """Newton from many starts on the equations that are left, then an enclosure of each zero."""
+    given = {name: rational(value) for name, value in known.items()}
+    outside = _outside_domain(plant, given)
+    if outside:
+        return outside
     square = _SquareSystem.choose(plant, design, equations, known, unknown)
     if square is None:
         return _underdetermined(plant, design, known, unknown)
     with precision(BITS):
         points = [p for z in square.zeros() if (p := square.enclose(z)) is not None]
-    points = [p for p in points if _outside_domain(plant, p) is None]
+    points = [p for p in points if _outside_domain(plant, _by_name(plant, p)) is None]
     completions = tuple(_rounded(plant, p) for p in points)
     if not points:
         return _no_zero(plant, design, equations, square)
@@ -277,7 +282,9 @@ def _independent_rows(
     best: list[int] = []
     for _ in range(5):
         values = {**{k: float(v) for k, v in known.items()}}
-        sample = generator.uniform(np.maximum(search.lower, -1.0), np.minimum(search.upper, 1.0))
+        width = np.minimum(search.upper - search.lower, 1.0)
+        around = np.clip(0.0, search.lower, search.upper) + width * generator.uniform(-1.0, 1.0, len(unknown))
+        sample = np.clip(around, search.lower, search.upper)
         values |= dict(zip(unknown, sample, strict=True))
         x = np.array([values[n] for n in names[: plant.system.n]])
         u = np.array([values[n] for n in names[plant.system.n :]])
@@ -343,6 +350,10 @@ def _interval(value: Real) -> list[str]:
 
 
 def _undecided(why: str, values: Sequence[Real]) -> Claim:
+    if not all(is_finite(v) for v in values):
+        evidence = "f or g has no certain value there: it is undefined, or jumps, or ends its range of definition"
+        hint = "choose a target away from that point, or a smooth approximation of the term"
+        return Claim("equilibrium", Status.UNDECIDED, "at x*", "ball arithmetic", evidence, hint)
     evidence = f"{why}; largest residual {max(abs(approximate(v)) for v in values):.3g}"
     hint = "name the target by fewer coordinates, so that the others can be completed"
     return Claim("equilibrium", Status.UNDECIDED, "at x*", "ball arithmetic", evidence, hint)
@@ -375,9 +386,16 @@ def _underdetermined(
     return Equilibrium(claim, None)
 
 
-def _outside_domain(plant: Plant, point: Point) -> Equilibrium | None:
-    for name, value in zip(plant.system.state_names, point.x, strict=True):
-        lo, hi = plant.system.domain.get(name, (None, None))
+def _by_name(plant: Plant, point: Point) -> dict[str, Real]:
+    return dict(zip(plant.system.state_names, point.x, strict=True))
+
+
+def _outside_domain(plant: Plant, values: Mapping[str, Real]) -> Equilibrium | None:
+    """The verdict when one of the values by name certainly lies outside the domain, else None."""
+    for name, (lo, hi) in plant.system.domain.items():
+        if name not in values:
+            continue
+        value = values[name]
         if (lo is not None and upper(value) < lo) or (hi is not None and lower(value) > hi):
             bounds = f"[{'-inf' if lo is None else text(rational(lo))}, {'inf' if hi is None else text(rational(hi))}]"
             claim = Claim(
@@ -396,6 +414,8 @@ def _outside_domain(plant: Plant, point: Point) -> Equilibrium | None:
 def _no_zero(plant: Plant, design: Design, equations: _Equations, square: _SquareSystem) -> Equilibrium:
     polished = nearest_assignable(plant, design)
     near = "" if polished is None else "; nearest assignable point found: " + _pairs(polished)
+    if polished is not None and not _is_smooth_at(plant, polished):
+        near += ", where f or g is not differentiable"
     claim = Claim(
         "equilibrium",
         Status.UNDECIDED,
@@ -405,6 +425,15 @@ def _no_zero(plant: Plant, design: Design, equations: _Equations, square: _Squar
         "check that the target is reachable, or give `near={...}` to start the search close to it",
     )
     return Equilibrium(claim, None)
+
+
+def _is_smooth_at(plant: Plant, state: Mapping[str, float]) -> bool:
+    """Whether f, g and their derivatives have certain finite values at a point."""
+    x = tuple(rational(exact_decimal(state[name])) for name in plant.system.state_names)
+    point = Point(x, tuple(rational(0) for _ in plant.system.input_names))
+    flat = ca.vertcat(plant.system.f, ca.vec(ca.densify(plant.system.g)))
+    entries = plant.at(point, flat, ca.densify(ca.jacobian(flat, plant.system.x)))
+    return all(is_finite(v) for matrix in entries for row in matrix for v in row)
 
 
 def _refuted(plant: Plant, design: Design, contradiction: Inconsistent) -> Equilibrium:

@@ -202,7 +202,7 @@ class RealAlgebra:
             return self._integer_power(a, int(b.p))
         if sign(a) == 1:
             return (ball(b) * ball(a).log()).exp()
-        return ZERO if sign(a) == 0 and sign(b) == 1 else undefined()
+        return undefined()  # also for a = 0: there is no value on its left, so a derivative there means nothing
 
     def _integer_power(self, a: Real, exponent: int) -> Real:
         if exponent < 0:
