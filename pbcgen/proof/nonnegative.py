@@ -1,61 +1,161 @@
 """Exact proofs that a function is nonnegative or that a symmetric matrix of functions is positive semidefinite.
 
 A rational function of symbols and atoms is split into terms with a known sign: squares, exponentials, square roots,
-and sector terms ``xi tanh(a xi) >= 0``. What remains is written as a quadratic form in monomials, whose matrix is
-tested over the rationals. The method is sufficient, never necessary: failure says nothing.
+sector terms ``xi tanh(a xi) >= 0``, and products ``(T(a) - T(b)) (a - b) >= 0`` of increasing functions. What remains
+is written as a quadratic form in monomials, whose matrix is tested over the rationals. The method is sufficient,
+never necessary: failure says nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
+from typing import Protocol
 
 from flint import fmpq, fmpq_mpoly
 
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import positive_definite, positive_semidefinite
+from pbcgen.proof.definite import positive_semidefinite
 from pbcgen.symbolic.field import Field, Quotient
-from pbcgen.symbolic.real import ZERO, rational
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
+from pbcgen.symbolic.real import ZERO
 
 _POSITIVE_KINDS = frozenset({"exp"})
 _NONNEGATIVE_KINDS = frozenset({"sqrt"})
 #: Odd increasing functions: T(xi) has the sign of xi.
 _SECTOR_KINDS = frozenset({"tanh", "atan", "asinh", "erf", "asin", "atanh"})
+#: Increasing functions whose sums of arguments the field does not take apart.
+_INCREASING_KINDS = _SECTOR_KINDS | {"log", "sqrt"}
+#: Functions with values in [-1, 1] whatever their argument.
+_BOUNDED_KINDS = frozenset({"sin", "cos", "tanh", "erf"})
+
+#: How often a polynomial is taken apart, and the sizes beyond which it is not.
+_DEPTH = 3
+_MOST_TERMS = 300
+_MOST_BOUNDED = 6
+_MOST_PRODUCTS = 8
 
 Exponents = tuple[int, ...]
 
 
+class Prover(Protocol):
+    """Something that proves signs of functions, on a region of its own."""
+
+    def nonnegative(self, function: Quotient) -> bool:
+        """Whether ``function >= 0`` is proved."""
+        ...
+
+    def positive(self, function: Quotient) -> bool:
+        """Whether ``function > 0`` is proved."""
+        ...
+
+
+@dataclass(frozen=True)
+class Everywhere:
+    """Exact algebra, valid wherever the function is defined; ``positive_symbols`` are taken to be positive."""
+
+    positive_symbols: frozenset[int] = frozenset()
+
+    def nonnegative(self, function: Quotient) -> bool:
+        """See :func:`nonnegative`."""
+        return nonnegative(function, self.positive_symbols)
+
+    def positive(self, function: Quotient) -> bool:
+        """See :func:`positive`."""
+        return positive(function, self.positive_symbols)
+
+
 @dataclass(frozen=True)
 class _Known:
-    """What is known of the sign of the generators of a field."""
+    """What is known of the sign of the generators of a field.
+
+    Attributes:
+        positive: generators that are nowhere negative.
+        sector: for an odd increasing atom of a monomial the exponents of that monomial.
+        pairs: polynomials T, xi with T xi >= 0.
+        bounded: atoms with values in [-1, 1].
+    """
 
     positive: frozenset[int]
     sector: dict[int, Exponents]
+    pairs: tuple[tuple[fmpq_mpoly, fmpq_mpoly], ...]
+    bounded: frozenset[int]
 
     @staticmethod
     def of(field: Field, positive_symbols: frozenset[int]) -> _Known:
         positive = set(positive_symbols)
+        positive |= {k for k, a in field.atoms.items() if a.kind in _POSITIVE_KINDS | _NONNEGATIVE_KINDS}
         sector: dict[int, Exponents] = {}
         for k, atom in field.atoms.items():
-            if atom.kind in _POSITIVE_KINDS | _NONNEGATIVE_KINDS:
-                positive.add(k)
             terms = atom.argument.numerator.to_dict()
             if atom.kind in _SECTOR_KINDS and len(terms) == 1 and atom.argument.is_polynomial():
                 ((exponents, coefficient),) = terms.items()
                 if coefficient > 0:
-                    sector[k] = tuple(int(e) for e in exponents)
-        return _Known(frozenset(positive), sector)
+                    sector[k] = tuple(0 if i in positive else int(e) for i, e in enumerate(exponents))
+        pairs = tuple(_pairs(field, frozenset(positive)))
+        bounded = frozenset(k for k, a in field.atoms.items() if a.kind in _BOUNDED_KINDS)
+        return _Known(frozenset(positive), sector, pairs, bounded)
+
+
+def _pairs(field: Field, positive: frozenset[int]) -> Iterator[tuple[fmpq_mpoly, fmpq_mpoly]]:
+    """Polynomials with a product that is nowhere negative, from increasing atoms."""
+    atoms = [
+        (k, a) for k, a in sorted(field.atoms.items()) if a.kind in _INCREASING_KINDS and a.argument.is_polynomial()
+    ]
+    generators = field.context.gens()
+    for k, atom in atoms:
+        if atom.kind != "sqrt":
+            zero = 1 if atom.kind == "log" else 0
+            yield generators[k], _without_content(field, atom.argument.numerator - zero, positive)
+    for (k, a), (j, b) in combinations(atoms[:12], 2):
+        if a.kind == b.kind:
+            difference = a.argument.numerator - b.argument.numerator
+            yield generators[k] - generators[j], _without_content(field, difference, positive)
+
+
+def _exponential_pairs(
+    field: Field, polynomial: fmpq_mpoly, positive: frozenset[int]
+) -> Iterator[tuple[fmpq_mpoly, fmpq_mpoly]]:
+    """``(exp(a) - exp(b)) (a - b) >= 0`` for the products of exponentials that occur in a polynomial, 1 among them."""
+    exponentials = [k for k, a in field.atoms.items() if a.kind == "exp" and a.argument.is_polynomial()]
+    products = {tuple(int(e) if k in exponentials else 0 for k, e in enumerate(raw)) for raw in polynomial.to_dict()}
+    if len(products) > _MOST_PRODUCTS:
+        return
+    for left, right in combinations(sorted(products), 2):
+        common = tuple(map(min, left, right))
+        factors = [
+            field.context.from_dict({tuple(a - b for a, b in zip(side, common, strict=True)): fmpq(1)})
+            for side in (left, right)
+        ]
+        difference = field.context.constant(0)
+        for k in exponentials:
+            difference += field.atoms[k].argument.numerator * (left[k] - right[k])
+        yield factors[0] - factors[1], _without_content(field, difference, positive)
+
+
+def _without_content(field: Field, polynomial: fmpq_mpoly, positive: frozenset[int]) -> fmpq_mpoly:
+    """The polynomial without the powers of positive generators that divide it."""
+    terms = polynomial.to_dict()
+    if not terms:
+        return polynomial
+    least = [min(int(e[k]) for e in terms) if k in positive else 0 for k in range(len(next(iter(terms))))]
+    return field.context.from_dict(
+        {tuple(int(a) - b for a, b in zip(e, least, strict=True)): c for e, c in terms.items()}
+    )
 
 
 def nonnegative(function: Quotient, positive_symbols: frozenset[int] = frozenset()) -> bool:
     """Whether ``function >= 0`` wherever it is defined is proved, symbols in ``positive_symbols`` being positive."""
+    constant = function.constant()
+    if constant is not None:
+        return bool(constant >= 0)
     field = function.field
     known = _Known.of(field, positive_symbols)
     product_form = function.numerator * function.denominator
-    if function.is_polynomial() or _nonnegative_polynomial(field, function.denominator, known):
+    if function.is_polynomial() or _certain(field, function.denominator, known):
         product_form = function.numerator
-    return _nonnegative_polynomial(field, product_form, known)
+    return _certain(field, product_form, known)
 
 
 def positive(function: Quotient, positive_symbols: frozenset[int] = frozenset()) -> bool:
@@ -65,16 +165,24 @@ def positive(function: Quotient, positive_symbols: frozenset[int] = frozenset())
         return bool(constant > 0)
     field = function.field
     known = _Known.of(field, positive_symbols)
-    if not (function.is_polynomial() or positive(field.polynomial(function.denominator), positive_symbols)):
-        return False
-    for form in _trigonometric_forms(field, function.numerator):
+    if function.is_polynomial():
+        return _strictly(field, function.numerator, known)
+    if _strictly(field, function.denominator, known):
+        return _strictly(field, function.numerator, known)
+    return _strictly(field, function.numerator * function.denominator, known)
+
+
+def _strictly(field: Field, polynomial: fmpq_mpoly, known: _Known) -> bool:
+    """Whether the polynomial is positive everywhere."""
+    for form in _trigonometric_forms(field, polynomial):
         for exponents, coefficient in form.to_dict().items():
             strict = all(e == 0 or (k in known.positive and _strict(field, k)) for k, e in enumerate(exponents))
             if coefficient > 0 and strict:
                 rest = form - field.context.from_dict({exponents: coefficient / 2})
-                if _nonnegative_form(field, rest, known):
+                if _certain(field, rest, known):
                     return True
-    return False
+    vertices = _vertices(field, polynomial, known)
+    return vertices is not None and all(_strictly(field, vertex, known) for vertex in vertices)
 
 
 def _strict(field: Field, k: int) -> bool:
@@ -111,8 +219,142 @@ def _swap_squares(field: Field, polynomial: fmpq_mpoly, cosine: int, sine: int) 
     return total
 
 
-def _nonnegative_polynomial(field: Field, polynomial: fmpq_mpoly, known: _Known) -> bool:
-    return any(_nonnegative_form(field, form, known) for form in _trigonometric_forms(field, polynomial))
+def _certain(field: Field, polynomial: fmpq_mpoly, known: _Known, depth: int = _DEPTH) -> bool:
+    """Whether the polynomial in symbols and atoms is proved nonnegative."""
+    if polynomial.is_zero() or any(
+        _nonnegative_form(field, form, known) for form in _trigonometric_forms(field, polynomial)
+    ):
+        return True
+    if depth == 0 or len(polynomial) > _MOST_TERMS:
+        return False
+    return (
+        _by_pairs(field, polynomial, known, depth)
+        or _by_dominance(field, polynomial, known, depth)
+        or _by_vertices(field, polynomial, known, depth)
+        or _by_factors(field, polynomial, known, depth)
+    )
+
+
+def _by_pairs(field: Field, polynomial: fmpq_mpoly, known: _Known, depth: int) -> bool:
+    """Take out a multiple of a product that is nowhere negative, if both the multiplier and the rest are so too."""
+    present = {k for k, degree in enumerate(polynomial.degrees()) if degree}
+    for left, right in (*known.pairs, *_exponential_pairs(field, polynomial, known.positive)):
+        divisor = left * right
+        if divisor.is_zero() or not {k for k, degree in enumerate(divisor.degrees()) if degree} <= present:
+            continue
+        quotient, rest = divmod(polynomial, divisor)
+        if quotient.is_zero() or not _certain(field, quotient, known, depth - 1):
+            continue
+        if _certain(field, rest, known, depth - 1):
+            return True
+    return False
+
+
+def _by_dominance(field: Field, polynomial: fmpq_mpoly, known: _Known, depth: int) -> bool:
+    """Terms ``sum T(a_k) C_kl a_l`` with T odd and increasing and C doubly dominant are nonnegative (Willems 1971)."""
+    degrees = polynomial.degrees()
+    for kind in sorted(_SECTOR_KINDS):
+        group = [
+            k
+            for k, a in sorted(field.atoms.items())
+            if a.kind == kind and degrees[k] == 1 and a.argument.is_polynomial()
+        ]
+        if len(group) < 2:
+            continue
+        split = _linear_part(field, polynomial, group)
+        if split is None:
+            continue
+        linear, rest = split
+        arguments = [field.atoms[k].argument.numerator for k in group]
+        rows = [_coordinates(linear[k], arguments) for k in group]
+        if all(row is not None for row in rows) and _doubly_dominant([row for row in rows if row is not None]):
+            return _certain(field, rest, known, depth - 1)
+    return False
+
+
+def _linear_part(
+    field: Field, polynomial: fmpq_mpoly, group: Sequence[int]
+) -> tuple[dict[int, fmpq_mpoly], fmpq_mpoly] | None:
+    """The coefficients of the generators of a group and the rest, or None when two of them are multiplied."""
+    terms: dict[int | None, dict[Exponents, fmpq]] = {None: {}, **{k: {} for k in group}}
+    for raw, coefficient in polynomial.to_dict().items():
+        exponents = tuple(int(e) for e in raw)
+        present = [k for k in group if exponents[k]]
+        if len(present) > 1:
+            return None
+        key = present[0] if present else None
+        terms[key][tuple(0 if i == key else e for i, e in enumerate(exponents))] = coefficient
+    return {k: field.context.from_dict(terms[k]) for k in group}, field.context.from_dict(terms[None])
+
+
+def _coordinates(polynomial: fmpq_mpoly, basis: Sequence[fmpq_mpoly]) -> list[fmpq] | None:
+    """Rational numbers c with ``polynomial = sum c_k basis_k``, or None."""
+    rows: dict[Exponents, Row] = {}
+    for k, element in enumerate(basis):
+        for exponents, coefficient in element.to_dict().items():
+            rows.setdefault(tuple(int(e) for e in exponents), {})[k] = coefficient
+    for exponents, coefficient in polynomial.to_dict().items():
+        rows.setdefault(tuple(int(e) for e in exponents), {})[CONSTANT] = -coefficient
+    try:
+        solution = particular_solution(reduce_rows(rows.values()), fmpq(0))
+    except Inconsistent:
+        return None
+    return [solution.get(k, fmpq(0)) for k in range(len(basis))]
+
+
+def _doubly_dominant(matrix: Sequence[Sequence[fmpq]]) -> bool:
+    """Whether each diagonal entry is at least the sum of the magnitudes beside it, in its row and in its column."""
+    size = range(len(matrix))
+    by_rows = all(matrix[k][k] >= sum((abs(matrix[k][j]) for j in size if j != k), fmpq(0)) for k in size)
+    return by_rows and all(matrix[k][k] >= sum((abs(matrix[j][k]) for j in size if j != k), fmpq(0)) for k in size)
+
+
+def _by_vertices(field: Field, polynomial: fmpq_mpoly, known: _Known, depth: int) -> bool:
+    """Products of sin, cos, tanh and erf as independent numbers in [-1, 1], or [0, 1] for squares."""
+    vertices = _vertices(field, polynomial, known)
+    return vertices is not None and all(_certain(field, vertex, known, depth - 1) for vertex in vertices)
+
+
+def _vertices(field: Field, polynomial: fmpq_mpoly, known: _Known) -> list[fmpq_mpoly] | None:
+    """The polynomial with each product of bounded atoms at the ends of its range, in every combination.
+
+    It is affine in these products, so its least value over all of them is at one of these. None if there are no
+    bounded atoms or too many products.
+    """
+    parts: dict[Exponents, dict[Exponents, fmpq]] = {}
+    for raw, coefficient in polynomial.to_dict().items():
+        exponents = tuple(int(e) for e in raw)
+        inside = tuple(e if k in known.bounded else 0 for k, e in enumerate(exponents))
+        outside = tuple(0 if k in known.bounded else e for k, e in enumerate(exponents))
+        parts.setdefault(inside, {})[outside] = coefficient
+    products = [inside for inside in sorted(parts) if any(inside)]
+    if not products or len(products) > _MOST_BOUNDED:
+        return None
+    free = field.context.from_dict(next((terms for inside, terms in parts.items() if not any(inside)), {}))
+    ends = [(0 if all(e % 2 == 0 for e in inside) else -1, 1) for inside in products]
+    slopes = [field.context.from_dict(parts[inside]) for inside in products]
+    return [sum((slope * end for slope, end in zip(slopes, choice, strict=True)), free) for choice in product(*ends)]
+
+
+def _by_factors(field: Field, polynomial: fmpq_mpoly, known: _Known, depth: int) -> bool:
+    """Without its square factors; or as a product of factors that each have a known sign."""
+    content, factors = polynomial.factor()
+    odd = [factor for factor, power in factors if power % 2]
+    if len(odd) == len(factors) == 1:
+        return False
+    remaining = field.context.constant(1 if content > 0 else -1)
+    for factor in odd:
+        remaining *= factor
+    if remaining != polynomial and _certain(field, remaining, known, depth - 1):
+        return True
+    negatives = 0 if content > 0 else 1
+    for factor in odd:
+        if _certain(field, factor, known, depth - 1):
+            continue
+        if not _certain(field, -factor, known, depth - 1):
+            return False
+        negatives += 1
+    return negatives % 2 == 0
 
 
 def _nonnegative_form(field: Field, polynomial: fmpq_mpoly, known: _Known) -> bool:
@@ -179,53 +421,80 @@ def _gram_place(
     return None
 
 
-def semidefinite(matrix: Sequence[Sequence[Quotient]], positive_symbols: frozenset[int] = frozenset()) -> bool:
+def _as_rows(matrix: Sequence[Sequence[Quotient]]) -> dict[int, dict[int, Quotient]]:
+    """The nonzero entries by row and column."""
+    return {i: {j: entry for j, entry in enumerate(row) if not entry.is_zero()} for i, row in enumerate(matrix)}
+
+
+def _by_cost(rows: Mapping[int, Mapping[int, Quotient]]) -> list[int]:
+    """Pivots that are numbers and have few neighbours first: the elimination then stays small."""
+
+    def cost(k: int) -> tuple[bool, int, int]:
+        entry = rows[k][k]
+        return entry.constant() is None, len(rows[k]), len(entry.numerator)
+
+    return sorted((k for k in rows if k in rows[k]), key=cost)
+
+
+def _eliminate(rows: dict[int, dict[int, Quotient]], pivot: int) -> None:
+    """One step of symmetric elimination; row and column ``pivot`` are removed."""
+    row = rows.pop(pivot)
+    head = row.pop(pivot)
+    for i in row:
+        del rows[i][pivot]
+    for i, left in row.items():
+        factor = left / head
+        for j, right in row.items():
+            before = rows[i].get(j)
+            value = -(factor * right) if before is None else before - factor * right
+            if value.is_zero():
+                rows[i].pop(j, None)
+            else:
+                rows[i][j] = value
+
+
+def semidefinite(
+    matrix: Sequence[Sequence[Quotient]],
+    positive_symbols: frozenset[int] = frozenset(),
+    prover: Prover | None = None,
+) -> bool:
     """Whether the symmetric matrix of functions is proved positive semidefinite wherever it is defined.
 
     Elimination with pivots that are proved positive. A diagonal entry that is the zero function needs a zero row.
+    ``prover`` decides the signs, :class:`Everywhere` if not given.
     """
-    order = list(range(len(matrix)))
-    work = [list(row) for row in matrix]
-    while order:
-        zero = [k for k in order if work[k][k].is_zero()]
-        if any(not work[k][j].is_zero() for k in zero for j in order):
+    prover = prover or Everywhere(positive_symbols)
+    rows = _as_rows(matrix)
+    while rows:
+        for k in [k for k, row in rows.items() if not row]:
+            del rows[k]
+        if any(k not in row for k, row in rows.items()):
             return False
-        order = [k for k in order if k not in zero]
-        if not order:
-            return True
-        isolated = [k for k in order if all(work[k][j].is_zero() for j in order if j != k)]
+        isolated = [k for k, row in rows.items() if len(row) == 1]
         if isolated:
-            if not all(nonnegative(work[k][k], positive_symbols) for k in isolated):
+            if not all(prover.nonnegative(rows[k][k]) for k in isolated):
                 return False
-            order = [k for k in order if k not in isolated]
+            for k in isolated:
+                del rows[k]
             continue
-        pivots = sorted(order, key=lambda k: (work[k][k].constant() is None, len(work[k][k].numerator)))
-        pivot = next((k for k in pivots if positive(work[k][k], positive_symbols)), None)
+        pivot = next((k for k in _by_cost(rows) if prover.positive(rows[k][k])), None)
         if pivot is None:
             return False
-        order.remove(pivot)
-        for i in order:
-            factor = work[i][pivot] / work[pivot][pivot]
-            for j in order:
-                work[i][j] = work[i][j] - factor * work[pivot][j]
+        _eliminate(rows, pivot)
     return True
 
 
-def definite(matrix: Sequence[Sequence[Quotient]], positive_symbols: frozenset[int] = frozenset()) -> bool:
+def definite(
+    matrix: Sequence[Sequence[Quotient]],
+    positive_symbols: frozenset[int] = frozenset(),
+    prover: Prover | None = None,
+) -> bool:
     """Whether the symmetric matrix of functions is proved positive definite wherever it is defined."""
-    constants = [[entry.constant() for entry in row] for row in matrix]
-    if all(entry is not None for row in constants for entry in row):
-        return positive_definite([[rational(0) + entry for entry in row] for row in constants]).status is Status.PROVED
-    work = [list(row) for row in matrix]
-    order = list(range(len(matrix)))
-    while order:
-        pivots = sorted(order, key=lambda k: (work[k][k].constant() is None, len(work[k][k].numerator)))
-        pivot = next((k for k in pivots if positive(work[k][k], positive_symbols)), None)
+    prover = prover or Everywhere(positive_symbols)
+    rows = _as_rows(matrix)
+    while rows:
+        pivot = next((k for k in _by_cost(rows) if prover.positive(rows[k][k])), None)
         if pivot is None:
             return False
-        order.remove(pivot)
-        for i in order:
-            factor = work[i][pivot] / work[pivot][pivot]
-            for j in order:
-                work[i][j] = work[i][j] - factor * work[pivot][j]
+        _eliminate(rows, pivot)
     return True

@@ -41,13 +41,11 @@ _STARTS = 24
 _CONFIRMATIONS = 24
 _MOST_PROBES = 40
 #: Operations whose operand is worth probing: steep, bounded or singular somewhere.
-_PROBED = frozenset(
-    getattr(ca, f"OP_{name}")
-    for name in (
-        "EXP LOG POW CONSTPOW SQRT SQ SIN COS TAN ASIN ACOS ATAN SINH COSH TANH ASINH ACOSH ATANH ERF INV DIV "
-        "FABS SIGN LT LE FMIN FMAX LOG1P EXPM1"
-    ).split()
+_NAMES = (
+    "EXP LOG POW CONSTPOW SQRT SQ SIN COS TAN ASIN ACOS ATAN SINH COSH TANH ASINH ACOSH ATANH ERF INV DIV "
+    "FABS SIGN LT LE FMIN FMAX LOG1P EXPM1"
 )
+_PROBED = frozenset(getattr(ca, f"OP_{name}") for name in _NAMES.split())
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +133,7 @@ class _Seeker:
                 batch = np.vstack([batch, np.broadcast_to(batch[-1], (size - len(batch), self.n))])
             raw[k : k + size] = np.asarray(self.mapped[size](batch.T)).reshape(-1)
         raw = raw[: len(inside)]
-        return np.where(np.isfinite(raw), raw, np.inf)
+        return np.asarray(np.where(np.isfinite(raw), raw, np.inf))
 
     def offer(self, points: Points, keep: int = 12) -> Points:
         """Evaluate states and remember the lowest."""
@@ -189,9 +187,7 @@ def _inside(value: float, bounds: Interval) -> Fraction:
     return hi if hi is not None and exact > hi else exact
 
 
-def _distinct(
-    best: Sequence[tuple[float, tuple[float, ...]]], count: int
-) -> Iterator[tuple[float, tuple[float, ...]]]:
+def _distinct(best: Sequence[tuple[float, tuple[float, ...]]], count: int) -> Iterator[tuple[float, tuple[float, ...]]]:
     """The lowest states that are not close to each other."""
     chosen: list[Points] = []
     for value, where in best:
@@ -234,7 +230,7 @@ def _bases(seeker: _Seeker, generator: np.random.Generator, count: int) -> Point
     """States to start probes and scans from: zero, random ones, and the lowest so far."""
     low = [np.array(where) for _, where in _distinct(seeker.best, 2)]
     random = spread(seeker.lower, seeker.upper, 16, generator)[[0, 5, 9][: max(0, count - 1 - len(low))]]
-    return np.clip(np.vstack([np.zeros((1, seeker.n)), *low, random]), seeker.lower, seeker.upper)
+    return np.asarray(np.clip(np.vstack([np.zeros((1, seeker.n)), *low, random]), seeker.lower, seeker.upper))
 
 
 # --- probes -------------------------------------------------------------------------------------------------------
@@ -379,12 +375,12 @@ def _scan(seeker: _Seeker, origin: Points, direction: Points, grid: Points) -> N
 # --- descent ------------------------------------------------------------------------------------------------------
 
 
-def _descend(seeker: _Seeker, _: np.random.Generator) -> None:
+def _descend(seeker: _Seeker, generator: np.random.Generator) -> None:
     """Local optimisation of h/scale from the lowest states, in variables scaled by the start."""
     from scipy.optimize import minimize
 
-    for _, where in list(_distinct(seeker.best, _STARTS)):
-        start = np.array(where)
+    del generator
+    for start in [np.array(where) for _, where in _distinct(seeker.best, _STARTS)]:
         size = np.where(start != 0, np.abs(start), 1e-2)
 
         def objective(z: Points, size: Points = size) -> tuple[float, Points]:
@@ -396,5 +392,7 @@ def _descend(seeker: _Seeker, _: np.random.Generator) -> None:
 
         limits: Any = list(zip(seeker.lower / size, seeker.upper / size, strict=True))
         with np.errstate(all="ignore"):
-            result = minimize(objective, start / size, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 60})
+            result = minimize(
+                objective, start / size, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 60}
+            )
         seeker.offer((result.x * size)[None, :])
