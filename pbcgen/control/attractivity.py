@@ -33,7 +33,6 @@ from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import as_balls
 from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
 from pbcgen.proof.nonnegative import positive, semidefinite
-from pbcgen.proof.spectrum import Stability
 from pbcgen.symbolic.linear import Inconsistent, Row, reduce_rows
 from pbcgen.symbolic.real import BITS, Real, approximate, ball, fraction, precision, sign, text
 from pbcgen.symbolic.tape import exact_decimal
@@ -130,7 +129,8 @@ class Situation:
                     return None
                 equations.append(expression - value)
         try:
-            return invariant_set(start, ca.vertcat(*[v for v in fixed if v is not None]), ca.vertcat(*equations))
+            values = ca.SX(ca.DM([v for v in fixed if v is not None]))
+            return invariant_set(start, values, ca.vertcat(*equations))
         except (UnsupportedOperation, ZeroDivisionError, Inconsistent):
             return None
 
@@ -346,8 +346,8 @@ def _convex(situation: Situation) -> bool:
     """Whether equilibria of the closed loop are critical points of a convex function: then x* is the only one.
 
     With f + g u = F (grad S - grad gamma u), F regular, a rest has ``grad (S + kappa^T gamma + Phi_c) = 0``. Phi_c and
-    kappa^T gamma are convex for affine gamma, so S convex is enough; the Hessian at x* is positive definite, which makes
-    the minimiser unique. For a mechanical system S may be replaced by V(q), because p = 0 at rest.
+    kappa^T gamma are convex for affine gamma, so S convex is enough; the Hessian at x* is positive definite, which
+    makes the minimiser unique. For a mechanical system S may be replaced by V(q), because p = 0 at rest.
     """
     plant, structure = situation.plant, situation.structure
     system = plant.system
@@ -418,7 +418,7 @@ def _second_equilibrium(situation: Situation) -> Claim | None:
         for zero in find_zeros(evaluate, around):
             if np.max(np.abs(zero[:n] - star[:n])) < 1e-6 * (1 + np.max(np.abs(star[:n]))):
                 continue
-            centre = polish(in_balls, zero)
+            centre = polish(in_balls, list(zero))
             balls = None if centre is None else krawczyk(in_balls, centre)
             if balls is not None and any(
                 sign(ball(b) - ball(s)) in (1, -1) for b, s in zip(balls[:n], situation.point.x, strict=True)

@@ -171,7 +171,7 @@ def _radius(A: NDArray[np.float64], B: NDArray[np.float64], H: NDArray[np.float6
         exponential = expm(block)
     Ad, Bd = exponential[:n, :n], exponential[:n, n:]
     X_m, X_xi, U_m, U_xi = (
-        np.array([[approximate(v) for v in row] for row in part]).reshape(len(part), -1)
+        np.array([[approximate(v) for v in row] for row in part]).reshape(len(part), len(part[0]) if part else 0)
         for part in (step.X_m, step.X_xi, step.U_m, step.U_xi)
     )
     plant = Ad + Bd @ U_m @ H

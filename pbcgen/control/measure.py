@@ -170,10 +170,10 @@ class Measurement:
             direct[name] if name in direct else self.constant(star)
             for name, star in zip(system.state_names, self.point.x, strict=True)
         ]
-        parameters = ca.vertcat(*[self.constant(rational(self.plant.values[n])) for n in system.parameters.names])
+        parameters = ca.vertcat(*[self.constant(rational(self.plant.values[n])) for n in self.plant.parameter_names])
         value = ca.substitute(signal, system.x, ca.vertcat(*states))
-        if system.parameters.names:
-            value = ca.substitute(value, ca.SX(system.parameters.symbols), parameters)
+        if self.plant.parameter_names:
+            value = ca.substitute(value, self.plant.parameter_symbols, parameters)
         (star,) = self._at_target([signal])
         deviation = value - self.constant(star) if sign(star) != 0 else value
         return Reading(deviation, value, None)

@@ -63,14 +63,14 @@ def potential(plant: Plant, psi: ca.SX) -> ca.SX | None:
     candidates = _candidates(field, monomials, states)
     if len(candidates) > _MOST_CANDIDATES:
         return None
-    symbols = [s for column in plant.symbols for s in ca.vertsplit(column)]
-    functions = [field.to_sx(field.polynomial(field.context.from_dict({m: fmpq(1)})), symbols) for m in candidates]
+    [s for column in plant.symbols for s in ca.vertsplit(column)]
+    functions = [plant.expression(field.polynomial(field.context.from_dict({m: fmpq(1)}))) for m in candidates]
     return _match(plant, psi, functions)
 
 
 def _linear(plant: Plant, field: Field, gradient: Sequence[Quotient]) -> ca.SX:
-    symbols = [s for column in plant.symbols for s in ca.vertsplit(column)]
-    terms = [field.to_sx(entry, symbols) * plant.system.x[j] for j, entry in enumerate(gradient) if not entry.is_zero()]
+    [s for column in plant.symbols for s in ca.vertsplit(column)]
+    terms = [plant.expression(entry) * plant.system.x[j] for j, entry in enumerate(gradient) if not entry.is_zero()]
     return sum(terms[1:], terms[0]) if terms else ca.SX(0)
 
 
@@ -135,10 +135,10 @@ def _match(plant: Plant, psi: ca.SX, functions: Sequence[ca.SX]) -> ca.SX | None
         solution = particular_solution(reduce_rows(rows), zero)
     except Inconsistent:
         return None
-    symbols = [s for column in plant.symbols for s in ca.vertsplit(column)]
+    [s for column in plant.symbols for s in ca.vertsplit(column)]
     total = ca.SX(0)
     for k, function in enumerate(functions):
         value = solution.get(k)
         if value is not None and not value.is_zero():
-            total = total + field.to_sx(value, symbols) * function
+            total = total + plant.expression(value) * function
     return total

@@ -117,15 +117,16 @@ class _Elimination:
     def exact(self, *expressions: ca.SX) -> tuple[Field, list[Quotient]]:
         """Scalar expressions as exact functions of states and ubar, at the parameter values."""
         plant = self.flow.plant
-        parameters = ca.SX(plant.system.parameters.symbols)
+        parameters = plant.parameter_symbols
         tape = Tape.of([ca.vertcat(*self.symbols), parameters], [ca.vertcat(*expressions)])
-        names = [*self.names, *plant.system.parameters.names]
+        names = [*self.names, *plant.parameter_names]
         field_, (values,) = evaluate(tape, names, plant.values)
         return field_, values.column(field_.const(0))
 
     def to_sx(self, element: Quotient) -> ca.SX:
-        parameters = ca.vertsplit(ca.SX(self.flow.plant.system.parameters.symbols))
-        return element.field.to_sx(element, [*self.symbols, *(parameters if self.flow.plant.values else [])])
+        """An exact function as an expression."""
+        plant = self.flow.plant
+        return element.field.to_sx(element, [*self.symbols, *ca.vertsplit(plant.parameter_symbols)], plant.number)
 
     # --- one equation ---------------------------------------------------------------------------------------------
 
@@ -146,13 +147,11 @@ class _Elimination:
     def _solve(self, factor: Quotient) -> bool:
         """Eliminate a variable from ``factor = 0``."""
         for k in self._order(factor):
-            coefficient, rest = linear_in(factor, k)
-            if coefficient is None or rest is None:
+            rest = linear_in(factor, k)
+            if rest is None:
                 continue
             value = self.to_sx(-rest)
             symbol = self.symbols[k]
-            if not self.vanishes(self.to_sx(factor) - _scaled(coefficient, symbol - value)):
-                continue
             for j in list(self.solved):
                 self.solved[j] = ca.substitute(self.solved[j], symbol, value)
             self.solved[k] = value
@@ -319,8 +318,8 @@ def _never_zero(element: Quotient) -> bool:
     return positive(element) or positive(-element)
 
 
-def linear_in(element: Quotient, k: int) -> tuple[fmpq | None, Quotient | None]:
-    """``element = coefficient * (v_k + rest)`` with a constant coefficient and v_k nowhere else, or (None, None)."""
+def linear_in(element: Quotient, k: int) -> Quotient | None:
+    """The rest of ``element = c (v_k + rest)`` with v_k nowhere else and a constant c, or None."""
     field_ = element.field
     coefficient = fmpq(0)
     rest: dict[tuple[int, ...], fmpq] = {}
@@ -328,21 +327,17 @@ def linear_in(element: Quotient, k: int) -> tuple[fmpq | None, Quotient | None]:
     for exponents, value in element.numerator.to_dict().items():
         power = int(exponents[k])
         if any(exponents[a] for a in inside):
-            return None, None
+            return None
         if power == 0:
             rest[tuple(exponents)] = value
         elif power == 1 and sum(exponents) == 1:
             coefficient = value
         else:
-            return None, None
+            return None
     if coefficient == 0:
-        return None, None
+        return None
     polynomial: fmpq_mpoly = field_.context.from_dict(rest)
-    return coefficient, field_.polynomial(polynomial / coefficient)
-
-
-def _scaled(coefficient: fmpq, expression: ca.SX) -> ca.SX:
-    return expression * float(int(coefficient.p)) / float(int(coefficient.q))
+    return field_.polynomial(polynomial / coefficient)
 
 
 def _determinant(matrix: ca.SX) -> ca.SX:

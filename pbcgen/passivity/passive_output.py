@@ -81,8 +81,8 @@ def _solve(plant: Plant, matrix: ca.SX, right: ca.SX) -> ca.SX | None:
         zero = field.const(0)
         solutions = [solve(left_values.dense(zero), column, zero) for column in columns(right_values, zero)]
         if all(solution is not None for solution in solutions):
-            symbols = [s for column in plant.symbols for s in ca.vertsplit(column)]
-            sx = [ca.vertcat(*[field.to_sx(v, symbols) for v in s]) for s in solutions if s is not None]
+            [s for column in plant.symbols for s in ca.vertsplit(column)]
+            sx = [ca.vertcat(*[plant.expression(v) for v in s]) for s in solutions if s is not None]
             return ca.sparsify(ca.horzcat(*sx))
     return None
 
@@ -135,8 +135,8 @@ def _ansatz(plant: Plant) -> Iterator[_Candidate]:
         row = _combination(plant, field, drift.column(zero), inputs.dense(zero), wanted.column(zero)[i])
         if row is None:
             return
-        symbols = [s for column in plant.symbols for s in ca.vertsplit(column)]
-        parts.append(sum((field.to_sx(c, symbols) * functions[k] for k, c in row.items()), ca.SX(0)))
+        [s for column in plant.symbols for s in ca.vertsplit(column)]
+        parts.append(sum((plant.expression(c) * functions[k] for k, c in row.items()), ca.SX(0)))
     yield _Candidate("basis ansatz with w = 0", ca.vertcat(*parts))
 
 
@@ -145,10 +145,10 @@ def _basis(plant: Plant) -> list[ca.SX]:
     x = ca.vertsplit(plant.system.x)
     products = [x[i] * x[j] for i in range(len(x)) for j in range(i, len(x))] if len(x) <= 12 else []
     field, _ = plant.exact(plant.system.f, plant.system.g, plant.system.S, symbolic=True)
-    symbols = [s for column in plant.symbols for s in ca.vertsplit(column)]
+    [s for column in plant.symbols for s in ca.vertsplit(column)]
     parameters = plant.parameter_positions()
     atoms = [
-        field.to_sx(field.symbol(k), symbols)
+        plant.expression(field.symbol(k))
         for k, a in sorted(field.atoms.items())
         if not a.argument.symbols() <= parameters
     ]

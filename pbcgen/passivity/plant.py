@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 
@@ -13,7 +13,7 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.affine import AffineSystem
 from pbcgen.symbolic.field import Field, Quotient, evaluate
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, reals
-from pbcgen.symbolic.tape import Matrix, Tape
+from pbcgen.symbolic.tape import Matrix, Tape, exact_decimal
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class Plant:
     """
 
     system: AffineSystem
+    _constants: dict[Fraction, ca.SX] = field(default_factory=dict, repr=False)
 
     @cached_property
     def gradient(self) -> ca.SX:
@@ -58,18 +59,45 @@ class Plant:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The symbols: states, inputs, parameters."""
-        return (*self.system.state_names, *self.system.input_names, *self.system.parameters.names)
+        """The symbols: states, inputs, parameters, and the constants made by :meth:`number`."""
+        return (*self.system.state_names, *self.system.input_names, *self.parameter_names)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The names of the parameters and of the constants made by :meth:`number`."""
+        return (*self.system.parameters.names, *(_constant_name(value) for value in self._constants))
+
+    @property
+    def parameter_symbols(self) -> ca.SX:
+        """The symbols of :attr:`parameter_names`, a column."""
+        return ca.vertcat(ca.SX(self.system.parameters.symbols), *self._constants.values())
 
     @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """(x, u, parameters), the inputs of every tape."""
-        return self.system.x, self.system.u, ca.SX(self.system.parameters.symbols)
+        return self.system.x, self.system.u, self.parameter_symbols
 
     @property
     def values(self) -> Mapping[str, Fraction]:
-        """The exact parameter values."""
-        return self.system.parameters.values
+        """The exact values of :attr:`parameter_names`."""
+        constants = {_constant_name(value): value for value in self._constants}
+        return {**self.system.parameters.values, **constants}
+
+    def number(self, value: Fraction) -> ca.SX:
+        """An exact number for use in expressions.
+
+        CasADi rounds constants to doubles, so a fraction that is no short decimal becomes a symbol with this value.
+        """
+        if exact_decimal(float(value)) == value:
+            return ca.SX(float(value))
+        if value not in self._constants:
+            self._constants[value] = ca.SX.sym(_constant_name(value))
+        return self._constants[value]
+
+    def expression(self, element: Quotient) -> ca.SX:
+        """An exact function of this plant's symbols as an SX expression."""
+        symbols = [s for column in self.symbols for s in ca.vertsplit(column) if column.numel()]
+        return element.field.to_sx(element, symbols, self.number)
 
     def tape(self, *outputs: ca.SX) -> Tape:
         """The tape of outputs that depend on (x, u, parameters)."""
@@ -82,13 +110,14 @@ class Plant:
 
         Raises UnsupportedOperation for operations that are not analytic.
         """
-        values = {} if symbolic else dict(self.values)
+        parameters = self.system.parameters.names if symbolic else ()
+        values = {name: value for name, value in self.values.items() if name not in parameters}
         return evaluate(self.tape(*outputs), self.names, {**values, **(known or {})})
 
     def parameter_positions(self) -> frozenset[int]:
         """Positions of the parameters among :attr:`names`."""
         count = self.system.n + self.system.m
-        return frozenset(range(count, len(self.names)))
+        return frozenset(range(count, count + len(self.system.parameters.names)))
 
     def at(self, point: Point, *outputs: ca.SX) -> list[list[list[Real]]]:
         """The outputs at a point as dense matrices of exact numbers or balls."""
@@ -97,15 +126,19 @@ class Plant:
 
     def walk(self, tape: Tape, x: Sequence[Real], u: Sequence[Real]) -> list[list[list[Real]]]:
         """The outputs of a tape of (x, u, parameters) at the current precision."""
-        parameters = reals([self.values[name] for name in self.system.parameters.names])
+        parameters = reals([self.values[name] for name in self.parameter_names])
         return [matrix.dense(ZERO) for matrix in tape.walk(REAL, [list(x), list(u), parameters])]
 
     def numeric(self, *outputs: ca.SX) -> ca.Function:
         """A floating-point function (x, u) -> outputs at the parameter values."""
         x, u, parameters = self.symbols
-        values = ca.DM([float(self.values[name]) for name in self.system.parameters.names])
+        values = ca.DM([float(self.values[name]) for name in self.parameter_names])
         at_values = [ca.substitute(ca.SX(o), parameters, values) if values.numel() else ca.SX(o) for o in outputs]
         return ca.Function("numeric", [x, u], at_values)
+
+
+def _constant_name(value: Fraction) -> str:
+    return f"({value})"
 
 
 def columns(matrix: Matrix[Quotient], zero: Quotient) -> list[list[Quotient]]:

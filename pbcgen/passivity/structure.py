@@ -100,10 +100,10 @@ def _sides(
 
 
 def _as_expressions(plant: Plant, field: Field, factor: Factor) -> tuple[ca.SX, ca.SX]:
-    symbols = [s for column in plant.symbols for s in ca.vertsplit(column)] if plant.names else []
-    rows = [[field.to_sx(entry, symbols) for entry in row] for row in factor.matrix]
+    [s for column in plant.symbols for s in ca.vertsplit(column)] if plant.names else []
+    rows = [[plant.expression(entry) for entry in row] for row in factor.matrix]
     matrix = ca.vertcat(*[ca.horzcat(*row) for row in rows])
-    remainder = ca.vertcat(*[field.to_sx(entry, symbols) for entry in factor.remainder])
+    remainder = ca.vertcat(*[plant.expression(entry) for entry in factor.remainder])
     return ca.sparsify(matrix), ca.sparsify(remainder)
 
 

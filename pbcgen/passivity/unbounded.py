@@ -76,7 +76,7 @@ def _triangular_step(equations: Sequence[Quotient], left: set[int], used: set[in
         unknown = equation.symbols() & left
         if len(unknown) == 1:
             k = next(iter(unknown))
-            if linear_in(equation, k)[0] is not None:
+            if linear_in(equation, k) is not None:
                 return k, i
     return None
 

@@ -19,7 +19,7 @@ from flint import fmpq, fmpq_mpoly, fmpq_mpoly_ctx
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.symbolic.real import fraction, rational
-from pbcgen.symbolic.tape import Matrix, Tape
+from pbcgen.symbolic.tape import Matrix, Tape, exact_decimal
 
 #: Multiples of an angle or exponent beyond this are kept as separate atoms instead of being expanded.
 _LARGEST_MULTIPLE = 24
@@ -363,9 +363,19 @@ class Field:
 
     # --- back to CasADi -----------------------------------------------------------------------------------
 
-    def to_sx(self, element: Quotient, symbols: Sequence[ca.SX]) -> ca.SX:
-        """The element as an SX expression of ``symbols``, which stand for the field's symbols in order."""
-        cache: dict[int, ca.SX] = dict(enumerate(symbols))
+    def to_sx(
+        self, element: Quotient, symbols: Sequence[ca.SX], number: Callable[[Fraction], ca.SX] | None = None
+    ) -> ca.SX:
+        """The element as an SX expression of ``symbols``, which stand for the field's symbols in order.
+
+        Args:
+            element: of this field.
+            symbols: at least one for each symbol of the field.
+            number: makes an SX of a coefficient. By default a coefficient must be a decimal of double length, because
+                CasADi would round another one; else UnsupportedOperation is raised.
+        """
+        make = number or _decimal_number
+        cache: dict[int, ca.SX] = dict(enumerate(symbols[: self.symbol_count]))
 
         def generator(k: int) -> ca.SX:
             if k not in cache:
@@ -376,18 +386,28 @@ class Field:
         def polynomial(p: fmpq_mpoly) -> ca.SX:
             total = ca.SX(0)
             for exponents, coefficient in p.to_dict().items():
-                term = ca.SX(float(int(coefficient.p)))
-                for k, exponent in enumerate(exponents):
-                    if exponent:
-                        term = term * generator(k) ** int(exponent)
-                total = total + (term / float(int(coefficient.q)) if coefficient.q != 1 else term)
+                factors = [generator(k) ** int(e) for k, e in enumerate(exponents) if e]
+                value = fraction(coefficient)
+                if not factors:
+                    total = total + make(value)
+                    continue
+                product = factors[0]
+                for factor in factors[1:]:
+                    product = product * factor
+                total = total + (product if value == 1 else -product if value == -1 else make(value) * product)
             return total
 
         def expression(q: Quotient) -> ca.SX:
             top = polynomial(q.numerator)
-            return top if q.is_polynomial() and q.denominator == self._one else top / polynomial(q.denominator)
+            return top if q.is_polynomial() else top / polynomial(q.denominator)
 
         return expression(element)
+
+
+def _decimal_number(value: Fraction) -> ca.SX:
+    if exact_decimal(float(value)) != value:
+        raise UnsupportedOperation(f"the number {value} is no decimal of double length")
+    return ca.SX(float(value))
 
 
 def evaluate(
