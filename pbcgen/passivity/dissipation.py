@@ -19,7 +19,7 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.gains import Matrix
 from pbcgen.models.laws import NaturalDamping
 from pbcgen.passivity.plant import Plant
-from pbcgen.passivity.shaping import congruence, diagonal, exact_matrix, multiply, transpose
+from pbcgen.passivity.shaping import congruence, diagonal, exact_matrix, inverse, multiply, transpose
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import RealMatrix, eigenvalues, positive_definite, positive_semidefinite
@@ -201,6 +201,21 @@ def _compliance(B0: RealMatrix, rows: RealMatrix) -> RealMatrix:
     """``W = C B0^+ C^T`` for rows C in the range of B0."""
     solutions = [_range_solution(B0, row) or [] for row in rows]
     return multiply(rows, transpose(solutions))
+
+
+def port_damping(plant: Plant, structure: PowerStructure, gamma: ca.SX, eta: ca.SX | None) -> RealMatrix | None:
+    """The largest constant Lambda with ``|l + w u|^2 >= |(eta', y)|^2_Lambda``, or None; full, not diagonal.
+
+    Without eta the matrix concerns y alone. It is the inverse of the compliance W.
+    """
+    signals = [] if eta is None else ca.vertsplit(eta)
+    rows = _constant_rows(plant, structure, gamma, signals)
+    if rows is None or any(row is None for row in rows.signals):
+        return None
+    stacked = [*(row or [] for row in rows.signals), *rows.y]
+    if any(_range_solution(rows.B0, row) is None for row in stacked):
+        return None
+    return inverse(_compliance(rows.B0, stacked))
 
 
 def _row_sum_inverse(row: Sequence[Real]) -> Real:
