@@ -310,7 +310,8 @@ def observe_order(
         means.append(error.mean(axis=0))
         maxima.append(float(error.max()))
     errors = [float(mean.max()) for mean in means]
-    floor = _FLOOR * tolerance.relative
+    # The integrator starts anew in every period and may be off by its tolerance each time.
+    floor = max(_FLOOR, 4.0 * count) * tolerance.relative
     orders = tuple(_order(coarse, fine) for coarse, fine in itertools.pairwise(errors))
     passed, note = _judge(errors, orders, floor)
     convergence = Convergence(
