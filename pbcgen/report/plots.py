@@ -61,7 +61,7 @@ _METADATA: dict[str, dict[str, None]] = {
 
 
 @dataclass(frozen=True)
-class _Panel:
+class Panel:
     """Signals that share an axis.
 
     Attributes:
@@ -100,8 +100,8 @@ def plot_closed_loop(
     """
     levels = [() if target is None else (float(target),) for target in targets]
     limits = [(float(lo), float(hi)) for lo, hi in intervals]
-    states = _panels(sampled.x, sampled.state_names, sampled.state_units, levels, held=False)
-    inputs = _panels(sampled.u, sampled.input_names, sampled.input_units, limits, held=True)
+    states = panels(sampled.x, sampled.state_names, sampled.state_units, levels, held=False)
+    inputs = panels(sampled.u, sampled.input_names, sampled.input_units, limits, held=True)
     unit, factor = _time_unit(float(max(continuous.times[-1], sampled.times[-1])))
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(16, 9), dpi=100, layout="constrained")
@@ -131,9 +131,9 @@ def save(figure: Figure, path: Path | str) -> None:
         raise ModelError(f"`{path}` cannot be written: {error.strerror}") from error
 
 
-def _panels(
+def panels(
     values: Array, names: Sequence[str], units: Sequence[str], levels: Sequence[tuple[float, ...]], *, held: bool
-) -> list[_Panel]:
+) -> list[Panel]:
     """Signals of one unit and of like size together, in the order in which they first appear."""
     sizes = [
         max(float(np.max(np.abs(values[:, k]), initial=0.0)), *map(abs, levels[k]), 0.0) for k in range(len(names))
@@ -148,7 +148,7 @@ def _panels(
         else:
             groups.append([k])
     return [
-        _Panel(tuple(g), tuple(names[k] for k in g), units[g[0]], tuple(tuple(levels[k]) for k in g), held)
+        Panel(tuple(g), tuple(names[k] for k in g), units[g[0]], tuple(tuple(levels[k]) for k in g), held)
         for g in groups
     ]
 
@@ -170,7 +170,7 @@ def _places(figure: Figure, states: int, inputs: int) -> list[SubplotSpec]:
     return [*cells, *(lower[0, k] for k in range(inputs))]
 
 
-def _draw(axes: Axes, panel: _Panel, continuous: tuple[Array, Array], sampled: tuple[Array, Array]) -> None:
+def _draw(axes: Axes, panel: Panel, continuous: tuple[Array, Array], sampled: tuple[Array, Array]) -> None:
     """One panel: for each signal a pale band, a line on it, and its levels."""
     style = "steps-post" if panel.held else "default"
     shared = len(set(panel.levels)) == 1

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 import sympy
@@ -26,8 +26,65 @@ from pbcgen.symbolic.tape import Matrix, Tape
 LARGEST = 160
 
 _GREEK = frozenset(
-    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau phi chi psi omega "
-    "Gamma Delta Theta Lambda Xi Pi Sigma Phi Psi Omega Upsilon".split()
+    [
+        "alpha",
+        "beta",
+        "gamma",
+        "delta",
+        "epsilon",
+        "zeta",
+        "eta",
+        "theta",
+        "iota",
+        "kappa",
+        "lambda",
+        "mu",
+        "nu",
+        "xi",
+        "pi",
+        "rho",
+        "sigma",
+        "tau",
+        "phi",
+        "chi",
+        "psi",
+        "omega",
+        "Gamma",
+        "Delta",
+        "Theta",
+        "Lambda",
+        "Xi",
+        "Pi",
+        "Sigma",
+        "Phi",
+        "Psi",
+        "Omega",
+        "Upsilon",
+    ]
+)
+
+#: Operations of the tape that SymPy knows by the same name.
+_SAME_NAME = (
+    "exp",
+    "log",
+    "sqrt",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+    "atan2",
+    "erf",
+    "erfinv",
+    "floor",
+    "sign",
 )
 
 
@@ -43,7 +100,8 @@ class TooLarge:
         return rf"\text{{({size_text(self.operations)}: not written out)}}"
 
 
-Formula = sympy.Expr | TooLarge
+#: A SymPy expression, or what stands in its place.
+Formula: TypeAlias = "sympy.Expr | TooLarge"
 
 
 def size_text(operations: int) -> str:
@@ -127,12 +185,7 @@ _OPERATIONS: Mapping[str, Callable[..., Any]] = {
     "and_": sympy.And,
     "or_": sympy.Or,
     "if_else_zero": lambda c, a: sympy.Piecewise((a, c), (0, True)),
-    **{
-        name: getattr(sympy, name)
-        for name in (
-            "exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh atan2 erf erfinv floor sign".split()
-        )
-    },
+    **{name: getattr(sympy, name) for name in _SAME_NAME},
 }
 
 
@@ -147,7 +200,7 @@ class _TreeSize:
 
 
 def from_sx(expression: ca.SX, symbols: Sequence[ca.SX], largest: int = LARGEST) -> list[list[Formula]]:
-    """The entries of an SX matrix, in the names of ``symbols``; those of more than ``largest`` operations are too large.
+    """The entries of an SX matrix, in the names of ``symbols``; beyond ``largest`` operations they are too large.
 
     Raises:
         ModelError: the expression contains a symbol that is not among ``symbols``.
@@ -274,4 +327,5 @@ def latex(formula: Formula) -> str:
     """LaTeX of a formula."""
     if isinstance(formula, TooLarge):
         return formula.latex
-    return str(_Printer({"ln_notation": True}).doprint(formula))
+    text: str = _Printer({"ln_notation": True}).doprint(formula)
+    return text

@@ -19,9 +19,9 @@ ROOMS = (
     "control",
     "emit",
     "run",
-    "report",
     "examples",
     "pipeline",
+    "report",
     "cli",
     "__main__",
 )
