@@ -67,7 +67,7 @@ class Everywhere:
 
 
 @dataclass(frozen=True)
-class _Known:
+class Known:
     """What is known of the sign of the generators of a field.
 
     Attributes:
@@ -83,7 +83,8 @@ class _Known:
     bounded: frozenset[int]
 
     @staticmethod
-    def of(field: Field, positive_symbols: frozenset[int]) -> _Known:
+    def of(field: Field, positive_symbols: frozenset[int] = frozenset()) -> Known:
+        """What the kinds of the atoms tell; symbols in ``positive_symbols`` are taken to be positive."""
         positive = set(positive_symbols)
         positive |= {k for k, a in field.atoms.items() if a.kind in _POSITIVE_KINDS | _NONNEGATIVE_KINDS}
         sector: dict[int, Exponents] = {}
@@ -95,7 +96,7 @@ class _Known:
                     sector[k] = tuple(0 if i in positive else int(e) for i, e in enumerate(exponents))
         pairs = tuple(_pairs(field, frozenset(positive)))
         bounded = frozenset(k for k, a in field.atoms.items() if a.kind in _BOUNDED_KINDS)
-        return _Known(frozenset(positive), sector, pairs, bounded)
+        return Known(frozenset(positive), sector, pairs, bounded)
 
 
 def _pairs(field: Field, positive: frozenset[int]) -> Iterator[tuple[fmpq_mpoly, fmpq_mpoly]]:
@@ -145,13 +146,18 @@ def _without_content(field: Field, polynomial: fmpq_mpoly, positive: frozenset[i
     )
 
 
+def known_signs(field: Field) -> Known:
+    """What is known of the generators of a field without assumptions on its symbols."""
+    return Known.of(field)
+
+
 def nonnegative(function: Quotient, positive_symbols: frozenset[int] = frozenset()) -> bool:
     """Whether ``function >= 0`` wherever it is defined is proved, symbols in ``positive_symbols`` being positive."""
     constant = function.constant()
     if constant is not None:
         return bool(constant >= 0)
     field = function.field
-    known = _Known.of(field, positive_symbols)
+    known = Known.of(field, positive_symbols)
     product_form = function.numerator * function.denominator
     if function.is_polynomial() or _certain(field, function.denominator, known):
         product_form = function.numerator
@@ -164,7 +170,7 @@ def positive(function: Quotient, positive_symbols: frozenset[int] = frozenset())
     if constant is not None:
         return bool(constant > 0)
     field = function.field
-    known = _Known.of(field, positive_symbols)
+    known = Known.of(field, positive_symbols)
     if function.is_polynomial():
         return _strictly(field, function.numerator, known)
     if _strictly(field, function.denominator, known):
@@ -172,9 +178,9 @@ def positive(function: Quotient, positive_symbols: frozenset[int] = frozenset())
     return _strictly(field, function.numerator * function.denominator, known)
 
 
-def _strictly(field: Field, polynomial: fmpq_mpoly, known: _Known) -> bool:
+def _strictly(field: Field, polynomial: fmpq_mpoly, known: Known) -> bool:
     """Whether the polynomial is positive everywhere."""
-    for form in _trigonometric_forms(field, polynomial):
+    for form in trigonometric_forms(field, polynomial):
         for exponents, coefficient in form.to_dict().items():
             strict = all(e == 0 or (k in known.positive and _strict(field, k)) for k, e in enumerate(exponents))
             if coefficient > 0 and strict:
@@ -189,7 +195,7 @@ def _strict(field: Field, k: int) -> bool:
     return k < field.symbol_count or field.atoms[k].kind in _POSITIVE_KINDS
 
 
-def _trigonometric_forms(field: Field, polynomial: fmpq_mpoly) -> list[fmpq_mpoly]:
+def trigonometric_forms(field: Field, polynomial: fmpq_mpoly) -> list[fmpq_mpoly]:
     """The polynomial written with cos^2 = 1 - sin^2 for every choice of angles (the field itself removes sin^2)."""
     sines = {
         (str(a.argument.numerator), str(a.argument.denominator)): k for k, a in field.atoms.items() if a.kind == "sin"
@@ -219,10 +225,10 @@ def _swap_squares(field: Field, polynomial: fmpq_mpoly, cosine: int, sine: int) 
     return total
 
 
-def _certain(field: Field, polynomial: fmpq_mpoly, known: _Known, depth: int = _DEPTH) -> bool:
+def _certain(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int = _DEPTH) -> bool:
     """Whether the polynomial in symbols and atoms is proved nonnegative."""
     if polynomial.is_zero() or any(
-        _nonnegative_form(field, form, known) for form in _trigonometric_forms(field, polynomial)
+        _nonnegative_form(field, form, known) for form in trigonometric_forms(field, polynomial)
     ):
         return True
     if depth == 0 or len(polynomial) > _MOST_TERMS:
@@ -235,7 +241,7 @@ def _certain(field: Field, polynomial: fmpq_mpoly, known: _Known, depth: int = _
     )
 
 
-def _by_pairs(field: Field, polynomial: fmpq_mpoly, known: _Known, depth: int) -> bool:
+def _by_pairs(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> bool:
     """Take out a multiple of a product that is nowhere negative, if both the multiplier and the rest are so too."""
     present = {k for k, degree in enumerate(polynomial.degrees()) if degree}
     for left, right in (*known.pairs, *_exponential_pairs(field, polynomial, known.positive)):
@@ -250,7 +256,7 @@ def _by_pairs(field: Field, polynomial: fmpq_mpoly, known: _Known, depth: int) -
     return False
 
 
-def _by_dominance(field: Field, polynomial: fmpq_mpoly, known: _Known, depth: int) -> bool:
+def _by_dominance(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> bool:
     """Terms ``sum T(a_k) C_kl a_l`` with T odd and increasing and C doubly dominant are nonnegative (Willems 1971)."""
     degrees = polynomial.degrees()
     for kind in sorted(_SECTOR_KINDS):
@@ -309,13 +315,13 @@ def _doubly_dominant(matrix: Sequence[Sequence[fmpq]]) -> bool:
     return by_rows and all(matrix[k][k] >= sum((abs(matrix[j][k]) for j in size if j != k), fmpq(0)) for k in size)
 
 
-def _by_vertices(field: Field, polynomial: fmpq_mpoly, known: _Known, depth: int) -> bool:
+def _by_vertices(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> bool:
     """Products of sin, cos, tanh and erf as independent numbers in [-1, 1], or [0, 1] for squares."""
     vertices = _vertices(field, polynomial, known)
     return vertices is not None and all(_certain(field, vertex, known, depth - 1) for vertex in vertices)
 
 
-def _vertices(field: Field, polynomial: fmpq_mpoly, known: _Known) -> list[fmpq_mpoly] | None:
+def _vertices(field: Field, polynomial: fmpq_mpoly, known: Known) -> list[fmpq_mpoly] | None:
     """The polynomial with each product of bounded atoms at the ends of its range, in every combination.
 
     It is affine in these products, so its least value over all of them is at one of these. None if there are no
@@ -336,7 +342,7 @@ def _vertices(field: Field, polynomial: fmpq_mpoly, known: _Known) -> list[fmpq_
     return [sum((slope * end for slope, end in zip(slopes, choice, strict=True)), free) for choice in product(*ends)]
 
 
-def _by_factors(field: Field, polynomial: fmpq_mpoly, known: _Known, depth: int) -> bool:
+def _by_factors(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> bool:
     """Without its square factors; or as a product of factors that each have a known sign."""
     content, factors = polynomial.factor()
     odd = [factor for factor, power in factors if power % 2]
@@ -357,11 +363,11 @@ def _by_factors(field: Field, polynomial: fmpq_mpoly, known: _Known, depth: int)
     return negatives % 2 == 0
 
 
-def _nonnegative_form(field: Field, polynomial: fmpq_mpoly, known: _Known) -> bool:
+def _nonnegative_form(field: Field, polynomial: fmpq_mpoly, known: Known) -> bool:
     """Terms of known sign first; then, for each power of the positive generators, a quadratic form in monomials."""
     groups: dict[Exponents, dict[Exponents, fmpq]] = {}
     for raw, coefficient in polynomial.to_dict().items():
-        exponents = _without_sector_pairs(tuple(int(e) for e in raw), known)
+        exponents = without_sector_pairs(tuple(int(e) for e in raw), known)
         outside = tuple(e % 2 if k in known.positive else 0 for k, e in enumerate(exponents))
         inside = tuple(e - o for e, o in zip(exponents, outside, strict=True))
         if coefficient > 0 and all(e % 2 == 0 for e in inside) and exponents != tuple(raw):
@@ -373,7 +379,7 @@ def _nonnegative_form(field: Field, polynomial: fmpq_mpoly, known: _Known) -> bo
     return all(_sum_of_squares(terms) for terms in groups.values())
 
 
-def _without_sector_pairs(exponents: Exponents, known: _Known) -> Exponents:
+def without_sector_pairs(exponents: Exponents, known: Known) -> Exponents:
     """The exponents after taking out factors ``T(xi) xi`` with an odd function T, which are nonnegative."""
     result = exponents
     for k, argument in known.sector.items():
@@ -395,7 +401,7 @@ def _sum_of_squares(terms: dict[Exponents, fmpq]) -> bool:
     gram = [[ZERO] * size for _ in range(size)]
     position = {half: i for i, half in enumerate(halves)}
     for exponents, coefficient in terms.items():
-        place = _gram_place(exponents, halves, position)
+        place = gram_place(exponents, halves, position)
         if place is None:
             return False
         i, j = place
@@ -407,7 +413,7 @@ def _sum_of_squares(terms: dict[Exponents, fmpq]) -> bool:
     return positive_semidefinite(gram).status is Status.PROVED
 
 
-def _gram_place(
+def gram_place(
     exponents: Exponents, halves: Sequence[Exponents], position: dict[Exponents, int]
 ) -> tuple[int, int] | None:
     """The entry of the Gram matrix for a monomial: the diagonal for a positive square, else the first fitting pair."""
