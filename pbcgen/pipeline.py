@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from pbcgen.control.closed_loop import ClosedLoop
 from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.law import ControlLaw
+from pbcgen.control.sampled import Sampling
 from pbcgen.emit import Package, Provenance, render
 from pbcgen.errors import NotProved
 from pbcgen.models.design import Design
@@ -106,10 +107,10 @@ class Simulation:
     report: Report
 
 
-def check(design: Design, progress: Progress = None) -> Report:
+def check(design: Design, progress: Progress = None, sampling: Sampling | None = None) -> Report:
     """Derive and decide everything that can be said of the design. Raises ModelError for an inconsistent model."""
     start = perf_counter()
-    derivation = derive(design, progress)
+    derivation = derive(design, progress, sampling)
     timings = {**derivation.timings, "total": perf_counter() - start}
     return Report(
         design,

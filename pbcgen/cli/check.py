@@ -2,37 +2,55 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Annotated
+
+import typer
 
 from pbcgen.cli import options
 from pbcgen.cli.outcome import Outcome
 from pbcgen.cli.terminal import progress
 from pbcgen.errors import NotProved
 
-if TYPE_CHECKING:
-    import typer
-
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
 
     @app.command("check")
-    def command(model: options.Model, json: options.Json = False) -> Outcome:
+    def command(
+        model: options.Model,
+        sampled_scan: Annotated[
+            bool, typer.Option("--sampled-scan", help="Prove the range of stable sample periods to its end.")
+        ] = False,
+        delay: Annotated[
+            str | None,
+            typer.Option(metavar="SAMPLES", help="Delay of the input: 0 to 2, such as 1 or 0.5.", show_default=False),
+        ] = None,
+        jitter: Annotated[
+            str | None,
+            typer.Option(metavar="SHARE", help="The period varies by this share: 0.1.", show_default=False),
+        ] = None,
+        json: options.Json = False,
+    ) -> Outcome:
         """Derive the controller, and say what is proved of it."""
-        return run(model, json=json)
+        return run(model, scan=sampled_scan, delay=delay, jitter=jitter, json=json)
 
 
-def run(model: str, *, json: bool = False) -> Outcome:
+def run(
+    model: str, *, scan: bool = False, delay: str | None = None, jitter: str | None = None, json: bool = False
+) -> Outcome:
     """Check a model. Exit code 2 when a claim that code depends on is not PROVED.
 
     Raises ModelError for a model that is not right.
     """
     from pbcgen import pipeline
     from pbcgen.cli.verdicts import show_report
+    from pbcgen.control.sampled import Sampling
+    from pbcgen.models.exact import exact
     from pbcgen.models.loader import load
 
     with progress("load") as tell:
-        report = pipeline.check(load(model), progress=tell)
+        sampling = Sampling(exact(delay or 0, "--delay"), exact(jitter or 0, "--jitter"), scan)
+        report = pipeline.check(load(model), progress=tell, sampling=sampling)
     return Outcome(
         show=lambda console: show_report(console, report, model),
         document=report.as_json() if json else None,

@@ -17,6 +17,7 @@ from pbcgen.control.graph import Interface, LawGraph, Needs, build, control_law,
 from pbcgen.control.law import ControlLaw, Precision, Signal
 from pbcgen.control.linearisation import ClosedLoopSlope
 from pbcgen.control.measure import Measurement
+from pbcgen.control.sampled import Sampling
 from pbcgen.control.saturation import saturation
 from pbcgen.control.stability import StabilityVerdicts, stability
 from pbcgen.errors import ModelError, UnsupportedOperation
@@ -114,7 +115,7 @@ class _Stages:
         self.claims.setdefault(name, Claim(name, Status.UNDECIDED, "at x*", "not reached", why, hint))
 
 
-def derive(design: Design, progress: Progress = None) -> Derivation:
+def derive(design: Design, progress: Progress = None, sampling: Sampling | None = None) -> Derivation:
     """Run every stage as far as the earlier ones allow.
 
     Raises ModelError for designs that no verdict can describe, such as potential compensation without G = I.
@@ -148,6 +149,7 @@ def derive(design: Design, progress: Progress = None) -> Derivation:
     at_target = None
     if equilibrium.point is not None:
         at_target = _AtTarget(plant, design, law, equilibrium.point, output, storage, bounds)
+        at_target.sampling = sampling
         numbers |= stages.run("at the target", lambda: at_target.decide(stages))
     numbers |= _bounds_as_numbers(bounds, theta_verdict)
     _fill(stages, law, equilibrium, output)
@@ -254,6 +256,7 @@ class _AtTarget:
         self.plant, self.design, self.law, self.point = plant, design, law, point
         self.output, self.storage, self.bounds = output, storage, bounds
         self.eta = bounds.eta if bounds is not None else None
+        self.sampling: Sampling | None = None
         self.graph: LawGraph | None = None
         self.interface: Interface | None = None
 
@@ -285,7 +288,7 @@ class _AtTarget:
         self.graph = build(self.law, measurement, self.point, read)
         loop = ClosedLoopSlope.of(self.plant, self.point, self.graph)
         verdicts: StabilityVerdicts = stages.run(
-            "stability", lambda: stability(self._situation(loop, stages), self.design.sample_period)
+            "stability", lambda: stability(self._situation(loop, stages), self.design.sample_period, self.sampling)
         )
         stages.add(*verdicts.claims)
         if intervals is not None and all(lo < hi for lo, hi in intervals):
@@ -293,6 +296,7 @@ class _AtTarget:
         numbers["spectral_abscissa"] = verdicts.spectral_abscissa
         numbers["spectral_radius"] = verdicts.spectral_radius
         numbers["max_sample_period"] = verdicts.max_sample_period
+        numbers["sample_periods"] = dict(verdicts.sampled)
         numbers["state_names"] = list(system.state_names)
         return numbers
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from pbcgen.control.graph import LawGraph
+from pbcgen.control.scan import LinearLoop
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.shaping import add, inverse, multiply
 from pbcgen.proof.definite import RealMatrix
@@ -124,6 +125,17 @@ class ClosedLoopSlope:
             )
             top = _beside(add(slope.A, _product(slope.B, _product(u_m, slope.H))), _product(slope.B, u_xi))
             return [*top, *_beside(_product(r_m, slope.H), r_xi)]
+
+    def linear(self) -> LinearLoop:
+        """Plant and law apart, for scans over the sample period."""
+        g, slope = self.graph, self.slope
+        with precision(BITS):
+            if g.xi.numel() == 0:
+                u_m = self.step(Fraction(1)).U_m
+                return LinearLoop(slope.A, slope.B, slope.H, [], [], u_m, [[] for _ in u_m])
+            rate, u = g.continuous
+            jacobians = [ca.jacobian(part, symbol) for part in (rate, u) for symbol in (g.m, g.xi)]
+            return LinearLoop(slope.A, slope.B, slope.H, *self._at_target(*jacobians))
 
     def sampled(self, h: Fraction) -> RealMatrix:
         """The transition matrix over one sample period: exact zero-order hold and linearised step."""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
 from pbcgen.control.attractivity import Situation, beyond_linearisation, globally
+from pbcgen.control.sampled import Sampling, decide
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.spectrum import Stability, hurwitz, schur
+from pbcgen.proof.spectrum import Stability, hurwitz
 from pbcgen.symbolic.real import approximate
 
 _LINEARISATION = "linearisation: characteristic polynomial and Routh array in exact or ball arithmetic"
@@ -23,6 +24,7 @@ class StabilityVerdicts:
     spectral_abscissa: float
     spectral_radius: float
     max_sample_period: float | None
+    sampled: Mapping[str, object]
 
 
 def lyapunov_premises(law: Law) -> tuple[str, ...]:
@@ -36,23 +38,20 @@ def lyapunov_premises(law: Law) -> tuple[str, ...]:
     return (*filtered, "assumption-3", "theta") if isinstance(law, NaturalDamping) else filtered
 
 
-def stability(situation: Situation, h: Fraction) -> StabilityVerdicts:
+def stability(situation: Situation, h: Fraction, sampling: Sampling | None = None) -> StabilityVerdicts:
     """Decide `stable`, `asymptotically-stable`, `globally-asymptotically-stable` and `sampled-stable`."""
     loop, law, found = situation.loop, situation.law, situation.found
     continuous = hurwitz(loop.continuous())
-    sampled = schur(loop.sampled(h))
-    largest = loop.scan(h)
     premises = lyapunov_premises(law)
     missing = [name for name in premises if found[name].status is not Status.PROVED]
     by_lyapunov = bool(premises) and not missing
     asymptotic = _asymptotic(continuous, by_lyapunov, missing, situation)
-    claims = (
-        _stable(continuous, by_lyapunov, premises, missing),
-        asymptotic,
-        globally(situation, by_lyapunov, asymptotic),
-        _sampled(sampled, h, largest, asymptotic),
+    overall = globally(situation, by_lyapunov, asymptotic)
+    sampled, routes = decide(
+        situation, h, missing if premises else ["the whole route"], asymptotic, overall, sampling or Sampling()
     )
-    return StabilityVerdicts(claims, continuous.extreme, sampled.extreme, largest)
+    claims = (_stable(continuous, by_lyapunov, premises, missing), asymptotic, overall, sampled)
+    return StabilityVerdicts(claims, continuous.extreme, routes.spectral.extreme, routes.largest, routes.figures)
 
 
 def _certificate(verdict: Stability) -> dict[str, object]:
@@ -121,21 +120,3 @@ def _unstable(claim: str, continuous: Stability) -> Claim:
         "satisfy hessian-condition and kc-bound; raise alpha*beta where the target is unstable without control",
         {"spectral_abscissa": f"{continuous.extreme:.9g}"},
     )
-
-
-def _sampled(sampled: Stability, h: Fraction, largest: float | None, asymptotic: Claim) -> Claim:
-    method = "exact zero-order hold, linearised implicit step, Routh array after a Moebius map, in ball arithmetic"
-    limit = "no limit found" if largest is None else f"largest stable h about {largest:.4g} s"
-    evidence = f"h = {float(h):.6g} s: spectral radius {sampled.extreme:.9g}; {limit} (estimate)"
-    if sampled.status is Status.PROVED:
-        return Claim(
-            "sampled-stable", Status.PROVED, "sampled loop", method, evidence, certificate=_certificate(sampled)
-        )
-    if asymptotic.status is not Status.PROVED:
-        hint = "satisfy asymptotically-stable first"
-    elif largest:
-        hint = f"sample faster than {largest:.4g} s, or lower alpha*beta, or model the friction that the plant has"
-    else:
-        hint = "lower the gains alpha*beta and R_c, or model the friction that the plant has"
-    counterexample = {"spectral_radius": f"{sampled.extreme:.9g}"} if sampled.status is Status.REFUTED else None
-    return Claim("sampled-stable", sampled.status, "sampled loop", method, evidence, hint, counterexample)

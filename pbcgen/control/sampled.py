@@ -1,0 +1,583 @@
+"""The claim `sampled-stable`: which sample periods keep the proof, by which route, and what to change when none does.
+
+Two routes. The *Lyapunov route* takes the storage of the continuous proof at the samples: sampling consumes damping,
+and what is left must do. With the held input, backward Euler in x_c and x_l, and constants of Assumption 3
+``|l + w u|^2 >= |(eta', y)|^2_Lambda`` it holds when
+
+    2 Lambda_c - h (diag(alpha beta) + L) >= 0                              (uc), (umec): L >= -hess V, zero for (uc)
+    Theta >= 0 with Lambda_c - h/2 (diag(alpha_c beta_c) + diag(alpha_l beta_l)) for Lambda_c     (ulc)
+
+for any positive definite K_c, R_c; the derivation is in docs/theory-sampled.md. The *spectral route* linearises and is
+local: the exact zero-order hold of the plant and the implicit step have all eigenvalues inside the unit circle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import casadi as ca
+import numpy as np
+from flint import acb, acb_mat, arb, fmpq
+from numpy.typing import NDArray
+
+from pbcgen.control.attractivity import Situation
+from pbcgen.control.family import LoopFamily
+from pbcgen.control.scan import SCAN_BITS, LinearLoop, Scan, Transition, scan
+from pbcgen.errors import ModelError, UnsupportedOperation
+from pbcgen.models.exact import decimal
+from pbcgen.models.laws import DynamicExtension, Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.passivity.dissipation import port_damping
+from pbcgen.passivity.plant import Plant
+from pbcgen.passivity.shaping import congruence, diagonal, exact_matrix, transpose
+from pbcgen.passivity.structure import PowerStructure
+from pbcgen.proof.claim import Claim, Status
+from pbcgen.proof.definite import RealMatrix, positive_definite, positive_semidefinite
+from pbcgen.proof.extrema import term_bounds
+from pbcgen.proof.spectrum import Stability, hurwitz, schur
+from pbcgen.symbolic.real import BITS, ball, enclose, midpoint, precision, rational
+
+#: How far the scan goes, as a multiple of the design's period, and how many cells a quick one may try.
+_REACH = 10**4
+_TRIES = 60
+
+#: The Lyapunov bound on h is given as a rational below the true one by at most this factor.
+_SHARP = Fraction(1, 10**9)
+
+_SPECTRAL = "exact zero-order hold, linearised implicit step, Routh array after a Moebius map, in ball arithmetic"
+_LYAPUNOV = "storage at the samples, Loewner order over the rationals"
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How the firmware samples, beside its period, and how much to prove of it.
+
+    Attributes:
+        delay: from measurement to actuation, in samples: 0 to 2, whole or not.
+        jitter: the periods vary within ``h (1 - jitter)`` and ``h (1 + jitter)`` from step to step.
+        scan: prove the range of all stable periods to its end, however many cells it takes.
+    """
+
+    delay: Fraction = Fraction(0)
+    jitter: Fraction = Fraction(0)
+    scan: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.delay <= 2:
+            raise ModelError(f"the delay is {float(self.delay):g} samples: 0 to 2 samples were expected")
+        if not 0 <= self.jitter < 1:
+            raise ModelError(f"the jitter is {float(self.jitter):g}: a share of the sample period below 1 was expected")
+
+    @property
+    def ideal(self) -> bool:
+        """Whether the loop is sampled evenly and without delay."""
+        return self.delay == 0 and self.jitter == 0
+
+
+@dataclass(frozen=True)
+class LyapunovPeriods:
+    """The Lyapunov route for one set of gains.
+
+    Attributes:
+        largest: a rational h up to which the storage does not grow, closely below the best one, or None if this
+            route has no bound to offer; then ``reason`` says why.
+        Lambda: the constant damping matrix over (eta', y) that was used.
+    """
+
+    largest: Fraction | None
+    reason: str
+    Lambda: RealMatrix | None = None
+
+
+def lyapunov_periods(
+    plant: Plant, structure: PowerStructure | None, gamma: ca.SX, eta: ca.SX | None, law: Law, missing: Sequence[str]
+) -> LyapunovPeriods:
+    """The largest period of the Lyapunov route.
+
+    Args:
+        plant: the system.
+        structure: a power structure that proves Assumption 1 and matches gamma, or None.
+        gamma: m x 1.
+        eta: s x 1, or None.
+        law: with resolved gains.
+        missing: premises of the continuous proof that are not proved.
+    """
+    if isinstance(law, Integral | PassiveOutput):
+        return LyapunovPeriods(None, f"there is no storage argument for a held {law.name} law")
+    if missing:
+        return LyapunovPeriods(None, "open for " + ", ".join(missing))
+    if structure is None:
+        return LyapunovPeriods(None, "it needs the power structure of the system")
+    signals = eta if isinstance(law, NaturalDamping) else None
+    Lambda = port_damping(plant, structure, gamma, signals)
+    if Lambda is None:
+        return LyapunovPeriods(None, "the output is not damped by a constant (Lambda_c)")
+    consumed = _consumed(plant, law)
+    if consumed is None:
+        return LyapunovPeriods(None, "hess V is not bounded below by a constant diagonal")
+    largest = _largest(_budget(Lambda, consumed, law, False), _budget(Lambda, consumed, law, True))
+    if largest is None:
+        return LyapunovPeriods(None, "no h > 0 leaves enough damping", Lambda)
+    return LyapunovPeriods(largest, "", Lambda)
+
+
+def _consumed(plant: Plant, law: Law) -> RealMatrix | None:
+    """C with ``h C / 2`` the damping of y that a period h consumes."""
+    if isinstance(law, NaturalDamping):
+        pairs = zip(law.alpha_c, law.beta_c, law.alpha_l, law.beta_l, strict=True)
+        return diagonal([rational(a * b + c * d) for a, b, c, d in pairs])
+    assert isinstance(law, DynamicExtension | PotentialCompensation)
+    entries = [rational(a * b) for a, b in zip(law.alpha, law.beta, strict=True)]
+    if isinstance(law, PotentialCompensation):
+        softening = _softening(plant)
+        if softening is None:
+            return None
+        entries = [e + rational(s) for e, s in zip(entries, softening, strict=True)]
+    return diagonal(entries)
+
+
+def _softening(plant: Plant) -> list[Fraction] | None:
+    """A diagonal L with ``hess V(q) >= -L`` for every q of the domain, by Gershgorin's discs."""
+    mechanics = plant.system.mechanical
+    if mechanics is None:
+        return None
+    hessian = ca.densify(ca.jacobian(ca.gradient(mechanics.V, mechanics.q), mechanics.q))
+    try:
+        field, (matrix,) = plant.exact(hessian)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return None
+    domain = {k: plant.system.domain.get(name, (None, None)) for k, name in enumerate(plant.system.state_names)}
+    result = []
+    for i, row in enumerate(matrix.dense(field.const(0))):
+        total = Fraction(0)
+        for j, entry in enumerate(row):
+            if entry.is_zero():
+                continue
+            bounds = term_bounds(entry, domain)
+            if bounds.lo is None or (i != j and bounds.hi is None):
+                return None
+            total += -bounds.lo if i == j else max(abs(bounds.lo), abs(bounds.hi or Fraction(0)))
+        result.append(max(total, Fraction(0)))
+    return result
+
+
+def _budget(Lambda: RealMatrix, consumed: RealMatrix, law: Law, touching: bool) -> Callable[[Fraction], bool]:
+    """The test of a period: whether damping is left in every direction (touching zero counts only if ``touching``)."""
+    m = len(consumed)
+    s = len(Lambda) - m
+    decide = positive_semidefinite if touching else positive_definite
+
+    def left(h: Fraction) -> RealMatrix:
+        half = rational(h / 2)
+        rest = [list(row) for row in Lambda]
+        for i in range(m):
+            for j in range(m):
+                rest[s + i][s + j] = rest[s + i][s + j] - half * consumed[i][j]
+        return rest
+
+    if not isinstance(law, NaturalDamping):
+        return lambda h: decide(left(h)).status is Status.PROVED
+    upsilon = exact_matrix(law.Upsilon or ())
+    coupling = [[*(-v / 2 for v in row), *(fmpq(int(i == j), 2) for j in range(m))] for i, row in enumerate(upsilon)]
+    filters = diagonal([rational(law.K_l[i][i] * law.R_l[i][i]) for i in range(m)])
+
+    def theta(h: Fraction) -> bool:
+        top = [[*a, *b] for a, b in zip(left(h), transpose(coupling), strict=True)]
+        bottom = [[*a, *b] for a, b in zip(coupling, filters, strict=True)]
+        return decide([*top, *bottom]).status is Status.PROVED
+
+    return theta
+
+
+def _largest(test: Callable[[Fraction], bool], touching: Callable[[Fraction], bool]) -> Fraction | None:
+    """The end of the interval (0, h) that passes a test, exactly where it is a simple fraction, else closely below."""
+    lo, hi = Fraction(0), Fraction(1)
+    while test(hi):
+        lo, hi = hi, hi * 16
+        if hi > 10**9:
+            return lo
+    while lo == 0:
+        middle = hi / 16
+        lo, hi = (middle, hi) if test(middle) else (lo, middle)
+        if hi < Fraction(1, 10**15):
+            return None
+    while hi - lo > lo * _SHARP:
+        middle = _between(lo, hi)
+        lo, hi = (middle, hi) if test(middle) else (lo, middle)
+    simple = hi.limit_denominator(10**6)
+    return simple if lo < simple and touching(simple) else lo
+
+
+def _between(lo: Fraction, hi: Fraction) -> Fraction:
+    middle = (lo + hi) / 2
+    short = middle.limit_denominator(max(10**6, round(10**12 / float(hi))))
+    return short if lo < short < hi else middle
+
+
+# --- jitter ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Sample periods that change from step to step within [shortest, longest].
+
+    Attributes:
+        status: PROVED when one quadratic storage decreases for every period of the interval, else UNDECIDED.
+        storage: that storage P in modal coordinates (real and imaginary parts), for display and certificates.
+    """
+
+    shortest: Fraction
+    longest: Fraction
+    status: Status
+    storage: NDArray[np.float64] | None
+
+
+def jitter(loop: LinearLoop, shortest: Fraction, longest: Fraction, delay: Fraction = Fraction(0)) -> Jitter:
+    """Look for one P > 0 with ``P - M(h)^T P M(h) > 0`` for every h in the interval, verified on cells of balls."""
+    with precision(SCAN_BITS):
+        transition = Transition(loop, delay)
+        centre = ball(rational((shortest + longest) / 2))
+        try:
+            _, V = transition.jet(centre).c0.eig(right=True, algorithm="approx")
+            V = acb_mat(V.nrows(), V.ncols(), [V[i, j].mid() for i in range(V.nrows()) for j in range(V.ncols())])
+            inverse = V.inv()
+        except (ValueError, ZeroDivisionError):
+            return Jitter(shortest, longest, Status.UNDECIDED, None)
+
+        def modal(h: arb) -> acb_mat:
+            return inverse * transition.jet(h).c0 * V
+
+        P = _candidate([_embedded(modal(ball(rational(h)))) for h in _spread(shortest, longest, 7)])
+        if P is None or positive_definite(_rationals(P)).status is not Status.PROVED:
+            return Jitter(shortest, longest, Status.UNDECIDED, None)
+        proved = _decreases(P, transition, (inverse, V), shortest, longest, 12)
+        return Jitter(shortest, longest, Status.PROVED if proved else Status.UNDECIDED, P)
+
+
+def _spread(lo: Fraction, hi: Fraction, count: int) -> list[Fraction]:
+    return [lo + (hi - lo) * k / (count - 1) for k in range(count)]
+
+
+def _embedded(matrix: acb_mat) -> list[list[arb]]:
+    """A complex matrix as a real one of twice the size."""
+    n = matrix.nrows()
+    rows = [[*(matrix[i, j].real for j in range(n)), *(-matrix[i, j].imag for j in range(n))] for i in range(n)]
+    return rows + [[*(matrix[i, j].imag for j in range(n)), *(matrix[i, j].real for j in range(n))] for i in range(n)]
+
+
+def _candidate(matrices: Sequence[Sequence[Sequence[arb]]]) -> NDArray[np.float64] | None:
+    """P with ``P = I + mean_k M_k^T P M_k`` in modal coordinates, by doubling of a truncated series."""
+    M = [np.array([[float(v.mid()) for v in row] for row in matrix]) for matrix in matrices]
+    size = M[0].shape[0]
+    # In modal coordinates a mode of modulus rho needs a storage of about 1/(1 - rho^2): scale it out.
+    weights = np.array([max(1e-300, 1 - float(np.max([np.hypot(*_mode(m, i)) for m in M])) ** 2) for i in range(size)])
+    P = np.diag(1 / np.maximum(weights, 1e-14))
+    if size <= 40:
+        operator = np.eye(size * size) - sum(np.kron(m.T, m.T) for m in M) / len(M)
+        try:
+            P = np.linalg.solve(operator, np.diag(np.ones(size)).ravel()).reshape(size, size)
+        except np.linalg.LinAlgError:
+            return None
+    P = (P + P.T) / 2
+    return P if np.all(np.isfinite(P)) and np.all(np.linalg.eigvalsh(P) > 0) else None
+
+
+def _mode(m: NDArray[np.float64], i: int) -> tuple[float, float]:
+    half = m.shape[0] // 2
+    j = i % half
+    return float(m[j, j]), float(m[half + j, j])
+
+
+def _rationals(P: NDArray[np.float64]) -> RealMatrix:
+    return [[rational(Fraction(float(v))) for v in row] for row in P]
+
+
+def _decreases(
+    P: NDArray[np.float64],
+    transition: Transition,
+    basis: tuple[acb_mat, acb_mat],
+    lo: Fraction,
+    hi: Fraction,
+    depth: int,
+) -> bool:
+    """Whether P decreases for every h in [lo, hi]: mean value form on the interval, else on its halves."""
+    inverse, V = basis
+    centre, span = ball(rational((lo + hi) / 2)), enclose(lo, hi)
+    here, slope = transition.jet(centre).c0, transition.jet(span).c1
+    M = _embedded(inverse * (here + slope * acb(span - centre)) * V)
+    exact = _rationals(P)
+    after = congruence(transpose(M), exact)
+    left = [[p - a for p, a in zip(x, y, strict=True)] for x, y in zip(exact, after, strict=True)]
+    if positive_definite(left).status is Status.PROVED:
+        return True
+    if depth == 0 or hi == lo:
+        return False
+    middle = (lo + hi) / 2
+    return all(_decreases(P, transition, basis, a, b, depth - 1) for a, b in ((lo, middle), (middle, hi)))
+
+
+# --- what to change ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class GainChange:
+    """Gains that the wished period allows: ``gain`` times ``factor``, proved by the spectral route."""
+
+    gain: str
+    factor: Fraction
+    law: Law
+
+
+def scaled(law: Law, gain: str, factor: Fraction) -> Law:
+    """The law with every beta (``alpha*beta``: amplitudes stay, so do the input ranges) or R_c times a factor."""
+    if isinstance(law, Integral):
+        return Integral(scaled(law.base, gain, factor), law.alpha_psi, law.beta_psi, law.R_psi)  # type: ignore[arg-type]
+    names = {"alpha*beta": ("beta", "beta_c", "beta_l"), "R_c": ("R_c",)}[gain]
+    changes = {}
+    for name in names:
+        value = getattr(law, name, None)
+        if value is not None:
+            nested = isinstance(value[0], tuple)
+            changes[name] = tuple(tuple(v * factor for v in entry) if nested else entry * factor for entry in value)
+    copy = object.__new__(type(law))
+    for key, value in {**law.__dict__, **changes}.items():
+        object.__setattr__(copy, key, value)
+    return copy
+
+
+def gain_change(
+    family: LoopFamily,
+    law: Law,
+    h: Fraction,
+    acceptable: Callable[[Law], bool] = lambda law: True,
+    delay: Fraction = Fraction(0),
+) -> GainChange | None:
+    """The mildest scaling, to two digits, of alpha*beta or of R_c that is proved to allow the period h.
+
+    Each factor that is tried is decided by the certified spectral test; ``acceptable`` may veto gains that break
+    another claim, such as the Hessian condition.
+    """
+    best: GainChange | None = None
+    for gain in ("alpha*beta", "R_c"):
+        if gain == "R_c" and isinstance(law, PassiveOutput):
+            continue
+
+        def good(factor: Fraction, gain: str = gain) -> bool:
+            candidate = scaled(law, gain, factor)
+            if not acceptable(candidate):
+                return False
+            return schur(transition_matrix(family.loop(candidate), h, delay)).status is Status.PROVED
+
+        factor = _mildest(good)
+        if factor is not None and (best is None or factor > best.factor):
+            best = GainChange(gain, factor, scaled(law, gain, factor))
+    return best
+
+
+def transition_matrix(loop: LinearLoop, h: Fraction, delay: Fraction = Fraction(0)) -> RealMatrix:
+    """M(h) with enclosed entries; in modal coordinates of plant and filter, whose imaginary parts are embedded."""
+    with precision(BITS):
+        M = Transition(loop, delay).jet(ball(rational(h))).c0
+        return [list(row) for row in _embedded(M)]
+
+
+def _mildest(good: Callable[[Fraction], bool]) -> Fraction | None:
+    """A factor below one, of two digits, that is good while its successor on the grid is not."""
+    steps = [Fraction(1, 2) ** k for k in range(1, 25)]
+    found = next((k for k, t in enumerate(steps) if good(t)), None)
+    if found is None:
+        return None
+    lo, hi = steps[found], steps[found] * 2
+    for _ in range(7):
+        middle = (lo + hi) / 2
+        lo, hi = (middle, hi) if good(middle) else (lo, middle)
+    rounded = _two_digits_below(lo)
+    return rounded if good(rounded) else lo
+
+
+def _two_digits_below(value: Fraction) -> Fraction:
+    digits = 2
+    exponent = 0
+    while value * Fraction(10) ** exponent < 10 ** (digits - 1):
+        exponent += 1
+    unit = Fraction(10) ** -exponent
+    return (value // unit) * unit
+
+
+# --- the claim ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Routes:
+    """The two routes for one sample period.
+
+    Attributes:
+        h: seconds. lyapunov: of the continuous storage. spectral: of the linearised sampled loop.
+        scan: the certified scan of the spectral route.
+        estimate: of its end in double precision, where the scan did not reach it.
+        jitter: the common storage for varying periods, where they vary.
+    """
+
+    h: Fraction
+    lyapunov: LyapunovPeriods
+    spectral: Stability
+    scan: Scan
+    estimate: float | None
+    jitter: Jitter | None = None
+
+    @property
+    def by_lyapunov(self) -> bool:
+        """Whether the storage argument covers h, with damping to spare."""
+        longest = self.h if self.jitter is None else self.jitter.longest
+        return self.lyapunov.largest is not None and longest < self.lyapunov.largest
+
+    @property
+    def by_spectrum(self) -> bool:
+        """Whether the linearised loop is proved stable, with jitter by a common storage."""
+        varied = self.jitter is None or self.jitter.status is Status.PROVED
+        return varied and self.spectral.status is Status.PROVED
+
+    @property
+    def largest(self) -> float | None:
+        """The largest period up to which the linearised loop is proved stable, or its estimate; None if unlimited."""
+        if self.scan.exhausted:
+            return self.estimate
+        return None if self.scan.complete else float(self.scan.stable_to)
+
+    @property
+    def figures(self) -> dict[str, object]:
+        """For JSON: seconds, null where a route gives nothing."""
+        found, storage = self.scan, self.lyapunov.largest
+        return {
+            "spectral_stable_to": float(found.stable_to),
+            "spectral_unstable_at": None if found.unstable_at is None else float(found.unstable_at),
+            "spectral_scan_complete": not found.exhausted,
+            "lyapunov_stable_to": None if storage is None else float(storage),
+        }
+
+    @property
+    def proved_to(self) -> float:
+        """Every period below this one is proved, by one of the routes."""
+        return float(max(self.scan.stable_to, self.lyapunov.largest or 0))
+
+
+def verdict(routes: Routes, asymptotic: Claim, overall: Claim, change: GainChange | None) -> Claim:
+    """The verdict `sampled-stable`.
+
+    Args:
+        routes: what each route says.
+        asymptotic: the verdict on the continuous loop.
+        overall: the verdict `globally-asymptotically-stable`, for the domain of the Lyapunov route.
+        change: gains that would allow the period, for the hint.
+    """
+    spectral = routes.by_spectrum
+    lyapunov = routes.by_lyapunov and asymptotic.status is Status.PROVED
+    whole = lyapunov and overall.status is Status.PROVED
+    domain = "sampled loop, all x" if whole else "sampled loop"
+    evidence = "; ".join(_evidence(routes))
+    if spectral or lyapunov:
+        methods = ([_LYAPUNOV] if lyapunov else []) + ([_SPECTRAL] if spectral else [])
+        return Claim(
+            "sampled-stable", Status.PROVED, domain, " and ".join(methods), evidence, certificate=_certificate(routes)
+        )
+    refuted = routes.spectral.status is Status.REFUTED
+    status = Status.REFUTED if refuted else Status.UNDECIDED
+    counterexample = {"spectral_radius": f"{routes.spectral.extreme:.9g}"} if refuted else None
+    return Claim(
+        "sampled-stable", status, domain, _SPECTRAL, evidence, _hint(routes, asymptotic, change), counterexample
+    )
+
+
+def _evidence(routes: Routes) -> list[str]:
+    h = float(routes.h)
+    delayed = f" and a delay of {float(routes.scan.delay):g} samples" if routes.scan.delay else ""
+    lines = [f"h = {h:.6g} s{delayed}: spectral radius {routes.spectral.extreme:.9g} (local)"]
+    if routes.jitter is not None:
+        serves = (
+            "one quadratic storage serves" if routes.jitter.status is Status.PROVED else "no common storage found for"
+        )
+        lines.append(f"{serves} all h in [{float(routes.jitter.shortest):.6g}, {float(routes.jitter.longest):.6g}] s")
+    if routes.lyapunov.largest is not None:
+        verdict = "holds" if routes.by_lyapunov else "does not hold"
+        lines.append(f"the Lyapunov route {verdict}: it needs h < {float(routes.lyapunov.largest):.4g} s")
+    else:
+        lines.append(f"no Lyapunov route: {routes.lyapunov.reason}")
+    found = routes.scan
+    end = f", proved unstable at {float(found.unstable_at):.9g} s" if found.unstable_at is not None else ""
+    since = f"from {float(found.start):.3g} s " if found.start else ""
+    lines.append(f"the linearised loop is stable for every h {since}up to {float(found.stable_to):.9g} s{end}")
+    if found.exhausted and routes.estimate is not None:
+        lines.append(f"about {routes.estimate:.4g} s is the limit (estimate; --sampled-scan proves it)")
+    return lines
+
+
+def _certificate(routes: Routes) -> dict[str, object]:
+    result: dict[str, object] = {"routh": [f"{float(midpoint(v)):.17g}" for v in routes.spectral.routh]}
+    if routes.lyapunov.largest is not None:
+        result["lyapunov_period"] = str(routes.lyapunov.largest)
+    result["cells"] = [[str(a), str(b)] for a, b in routes.scan.cells]
+    return result
+
+
+def _hint(routes: Routes, asymptotic: Claim, change: GainChange | None) -> str:
+    if asymptotic.status is not Status.PROVED:
+        return "satisfy asymptotically-stable first"
+    largest = routes.proved_to
+    parts = [f"sample at h = {_below(largest)} s or faster, which is proved"] if largest else []
+    if change is not None:
+        parts.append(f"or multiply {change.gain} by {decimal(change.factor)}, which is proved to allow this h")
+    else:
+        parts.append("or lower alpha*beta and R_c")
+    parts.append("or model the friction that the plant has")
+    return ", ".join(parts).removeprefix("or ")
+
+
+def _below(value: float) -> str:
+    """The value rounded down to three digits."""
+    exponent = math.floor(math.log10(value)) - 2
+    return f"{math.floor(value / 10.0**exponent) * 10.0**exponent:.3g}"
+
+
+def decide(
+    situation: Situation,
+    h: Fraction,
+    missing: Sequence[str],
+    asymptotic: Claim,
+    overall: Claim,
+    sampling: Sampling,
+) -> tuple[Claim, Routes]:
+    """The verdict `sampled-stable` on a law at its target, with what it rests on.
+
+    Args:
+        situation: plant, target, law and the claims so far.
+        h: sample period, seconds.
+        missing: premises of the continuous Lyapunov proof that are not proved.
+        asymptotic: the local verdict on the continuous loop.
+        overall: the global one.
+        sampling: delay and jitter, and how much to prove.
+    """
+    loop, linear, delay = situation.loop, situation.loop.linear(), sampling.delay
+    if delay:
+        storage = LyapunovPeriods(None, "the input is delayed")
+        spectral = schur(transition_matrix(linear, h, delay))
+    else:
+        storage = lyapunov_periods(
+            situation.plant, situation.structure, situation.gamma, situation.eta, situation.law, missing
+        )
+        spectral = schur(loop.sampled(h))
+    start = h / 1000 if delay else Fraction(0)
+    found = scan(linear, h * _REACH, delay=delay, start=start, tries=None if sampling.scan else _TRIES)
+    estimate = loop.scan(h) if found.exhausted and not delay else None
+    varied = jitter(linear, h * (1 - sampling.jitter), h * (1 + sampling.jitter), delay) if sampling.jitter else None
+    routes = Routes(h, storage, spectral, found, estimate, varied)
+    change = None
+    if routes.spectral.status is not Status.PROVED and asymptotic.status is Status.PROVED:
+        family = LoopFamily.of(situation.plant, situation.point, situation.gamma, situation.eta)
+        change = gain_change(family, situation.law, h, lambda law: _hurwitz(family, law), delay)
+    return verdict(routes, asymptotic, overall, change), routes
+
+
+def _hurwitz(family: LoopFamily, law: Law) -> bool:
+    return hurwitz(family.loop(law).continuous()).status is Status.PROVED
