@@ -115,7 +115,7 @@ def _pairs(field: Field, positive: frozenset[int]) -> Iterator[tuple[fmpq_mpoly,
             yield generators[k] - generators[j], _without_content(field, difference, positive)
 
 
-def _exponential_pairs(
+def exponential_pairs(
     field: Field, polynomial: fmpq_mpoly, positive: frozenset[int]
 ) -> Iterator[tuple[fmpq_mpoly, fmpq_mpoly]]:
     """``(exp(a) - exp(b)) (a - b) >= 0`` for the products of exponentials that occur in a polynomial, 1 among them."""
@@ -244,7 +244,7 @@ def _certain(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int = _D
 def _by_pairs(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> bool:
     """Take out a multiple of a product that is nowhere negative, if both the multiplier and the rest are so too."""
     present = {k for k, degree in enumerate(polynomial.degrees()) if degree}
-    for left, right in (*known.pairs, *_exponential_pairs(field, polynomial, known.positive)):
+    for left, right in (*known.pairs, *exponential_pairs(field, polynomial, known.positive)):
         divisor = left * right
         if divisor.is_zero() or not {k for k, degree in enumerate(divisor.degrees()) if degree} <= present:
             continue
