@@ -62,6 +62,8 @@ class Derivation:
         loop: for simulation, or None likewise.
         timings: seconds of each stage.
         gamma, eta: expressions, or None.
+        structure: the power structure that was found, or None.
+        bounds: of Assumption 3, or None.
     """
 
     design: Design
@@ -76,6 +78,8 @@ class Derivation:
     timings: Mapping[str, float]
     gamma: ca.SX | None
     eta: ca.SX | None
+    structure: PowerStructure | None = None
+    bounds: NaturalDampingBounds | None = None
 
     def control_law(self, h: Fraction, precision: Precision) -> ControlLaw | None:
         """The law discretised with sample period h, or None when there is no law to discretise."""
@@ -170,6 +174,8 @@ def derive(design: Design, progress: Progress = None, sampling: Sampling | None 
         stages.timings,
         output.gamma if output else None,
         eta,
+        storage.structure,
+        bounds,
     )
 
 
