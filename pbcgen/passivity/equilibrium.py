@@ -496,26 +496,35 @@ def _best_point(plant: Plant, design: Design) -> Point:
 
 
 def nearest_assignable(plant: Plant, design: Design) -> dict[str, float] | None:
-    """A point of the assignable set close to the target, by Gauss-Newton on least changes; None if not found."""
+    """The assignable point closest to the target, coordinates scaled by their size; None if not found."""
+    from scipy.optimize import minimize
+
     system = plant.system
     best = _best_point(plant, design)
-    z = np.array([approximate(v) for v in (*best.x, *best.u)])
-    symbols = ca.vertcat(system.x, system.u)
-    function = plant.numeric(system.xdot, ca.jacobian(system.xdot, symbols))
-    scale = np.maximum(np.abs(z), 1e-3)
+    z0 = np.array([approximate(v) for v in (*best.x, *best.u)])
+    n = system.n
+    scale = np.maximum(np.abs(z0[:n]), 0.1 * max(float(np.max(np.abs(z0[:n]))), 1e-3))
+    function = plant.numeric(system.xdot, ca.jacobian(system.xdot, ca.vertcat(system.x, system.u)))
+
+    def residual(z: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.array(function(z[:n], z[n:])[0]).ravel()
+
+    def slope(z: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.array(ca.densify(function(z[:n], z[n:])[1]))
+
+    def distance(z: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        offset = (z[:n] - z0[:n]) / scale
+        return float(offset @ offset), np.concatenate([2 * offset / scale, np.zeros(system.m)])
+
+    constraint = {"type": "eq", "fun": residual, "jac": slope}
     with np.errstate(all="ignore"):
-        for _ in range(60):
-            value, jacobian = function(z[: system.n], z[system.n :])
-            residual = np.array(value).ravel()
-            if not np.all(np.isfinite(residual)):
-                return None
-            step = np.linalg.lstsq(np.array(ca.densify(jacobian)) * scale, -residual, rcond=None)[0] * scale
-            z = z + step
-            if np.linalg.norm(step / scale) < 1e-13:
-                break
-        else:
-            return None
-    x = np.where(np.abs(z[: system.n]) > 1e-12 * np.max(np.abs(z)), z[: system.n], 0.0)
+        found = minimize(
+            distance, z0, jac=True, method="SLSQP", constraints=[constraint], options={"maxiter": 200, "ftol": 1e-14}
+        )
+    size = max(float(np.max(np.abs(found.x))), 1e-300)
+    if not np.all(np.isfinite(found.x)) or np.max(np.abs(residual(found.x))) > 1e-6 * (1 + size):
+        return None
+    x = np.where(np.abs(found.x[:n]) > 1e-9 * np.max(np.abs(found.x[:n])), found.x[:n], 0.0)
     return dict(zip(system.state_names, (float(v) for v in x), strict=True))
 
 

@@ -474,6 +474,8 @@ def semidefinite(
     while rows:
         for k in [k for k, row in rows.items() if not row]:
             del rows[k]
+        if not rows:
+            return True
         if any(k not in row for k, row in rows.items()):
             return False
         isolated = [k for k, row in rows.items() if len(row) == 1]
@@ -499,6 +501,8 @@ def definite(
     prover = prover or Everywhere(positive_symbols)
     rows = _as_rows(matrix)
     while rows:
+        if any(k not in row for k, row in rows.items()):
+            return False
         pivot = next((k for k in _by_cost(rows) if prover.positive(rows[k][k])), None)
         if pivot is None:
             return False

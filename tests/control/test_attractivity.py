@@ -1,0 +1,173 @@
+"""Asymptotic stability beyond the linearisation, and global claims: what is proved, refuted and left open."""
+
+from __future__ import annotations
+
+import casadi as ca
+import pytest
+
+from pbcgen import (
+    AffineSystem,
+    Design,
+    DynamicExtension,
+    Integral,
+    Limits,
+    Mechanical,
+    NaturalDamping,
+    PassiveOutput,
+    PotentialCompensation,
+    check,
+    load,
+)
+
+LAW = DynamicExtension(2, 3, 5, 1)
+
+
+def _claims(system, target, law=LAW, **options):
+    options = {"sample_period": "1e-3", "name": "trial", **options}
+    return {claim.claim: claim for claim in check(Design(system, target, law, **options)).claims}
+
+
+def _statuses(system, target, law=LAW, **options):
+    claims = _claims(system, target, law, **options)
+    names = ("stable", "asymptotically-stable", "globally-asymptotically-stable")
+    return tuple(str(claims[name].status) for name in names)
+
+
+def _symbols(*names):
+    return [ca.SX.sym(name) for name in names]
+
+
+def _two_masses(V, D, G=((1,), (0,))):
+    q1, q2, p1, p2 = _symbols("q1", "q2", "p1", "p2")
+    return Mechanical([q1, q2], [p1, p2], M=ca.SX.eye(2), V=V(q1, q2), G=list(G), D=D(p1, p2))
+
+
+def test_a_hardening_spring_is_globally_stable_because_its_energy_is_convex():
+    q, p = _symbols("q", "p")
+    system = Mechanical([q], [p], M=[[1]], V=q**2 / 2 + q**4 / 4, D=[1], G=[[1]])
+    assert _statuses(system, {"q": "0.5"}) == ("PROVED", "PROVED", "PROVED")
+
+
+def test_a_softening_spring_has_other_equilibria():
+    q, p = _symbols("q", "p")
+    system = Mechanical([q], [p], M=[[1]], V=q**2 / 2 - q**4 / 40, D=[1], G=[[1]])
+    claims = _claims(system, {"q": "0"})
+    assert claims["globally-asymptotically-stable"].status == "REFUTED"
+    x = claims["globally-asymptotically-stable"].counterexample["x"]
+    assert abs(float(x["q"])) > 1
+
+
+def test_a_pendulum_with_a_weak_controller_has_a_second_equilibrium():
+    q, p = _symbols("q", "p")
+    system = Mechanical([q], [p], M=[[1]], V=10 * (1 - ca.cos(q)), D=[1], G=[[1]])
+    assert _statuses(system, {"q": 0}) == ("PROVED", "PROVED", "REFUTED")
+
+
+def test_gravity_compensation_of_the_pendulum_is_global():
+    q, p = _symbols("q", "p")
+    system = Mechanical([q], [p], M=[[1]], V=10 * (1 - ca.cos(q)), D=[1], G=[[1]])
+    law = PotentialCompensation(20, 3, 50, 1)
+    assert _statuses(system, {"q": "0.5"}, law) == ("PROVED", "PROVED", "PROVED")
+
+
+def test_cubic_damping_is_asymptotically_stable_although_the_linearisation_is_not_hurwitz():
+    system = _two_masses(lambda a, b: a**2 / 2 + b**2 / 2, lambda p1, p2: [0, p2**2])
+    claims = _claims(system, {"q1": "0.5"})
+    assert claims["asymptotically-stable"].status == "PROVED"
+    assert "LaSalle" in claims["asymptotically-stable"].method
+    assert claims["sampled-stable"].status != "PROVED"
+
+
+def test_an_undamped_mode_that_the_input_does_not_reach_is_stable_but_not_asymptotically():
+    system = _two_masses(lambda a, b: a**2 / 2 + b**2 / 2, lambda p1, p2: [0, 0])
+    assert _statuses(system, {"q1": "0.5"}) == ("PROVED", "REFUTED", "REFUTED")
+
+
+@pytest.mark.parametrize(("damping", "expected"), [([0, 0, 0], "REFUTED"), ([1, 0, 1], "PROVED")])
+def test_the_antisymmetric_mode_of_two_equal_masses_needs_damping(damping, expected):
+    q, p = ca.SX.sym("q", 3), ca.SX.sym("p", 3)
+    V = (q[0] - q[1]) ** 2 / 2 + (q[2] - q[1]) ** 2 / 2
+    system = Mechanical(q, p, M=ca.SX.eye(3), V=V, G=[[0], [1], [0]], D=damping)
+    assert _statuses(system, {"q_1": "0.5"})[1] == expected
+
+
+def test_different_masses_let_the_middle_one_damp_both():
+    q, p = ca.SX.sym("q", 3), ca.SX.sym("p", 3)
+    V = (q[0] - q[1]) ** 2 / 2 + (q[2] - q[1]) ** 2 / 2
+    system = Mechanical(q, p, M=ca.diag(ca.SX([1, 1, 2])), V=V, G=[[0], [1], [0]])
+    assert _statuses(system, {"q_1": "0.5"})[1] == "PROVED"
+
+
+def test_a_conserved_charge_is_found():
+    x1, x2, u = _symbols("x1", "x2", "u")
+    system = AffineSystem([x1, x2], [u], [-(x1 - x2), x1 - x2], [1, -1], x1**2 / 2 + x2**2 / 2)
+    claims = _claims(system, [0, 0])
+    assert (claims["stable"].status, claims["asymptotically-stable"].status) == ("PROVED", "REFUTED")
+    assert "x1" in claims["asymptotically-stable"].counterexample["conserved"]
+
+
+def test_a_buck_converter_is_globally_stable_within_its_duty_ratio():
+    i, v, u = _symbols("i", "v", "d")
+    system = AffineSystem(
+        [i, v], [u], [-v / 0.5, (i - v / 3) / 0.2], [20, 0], 0.25 * i**2 + 0.1 * v**2, measured=["i", "v"]
+    )
+    limits = Limits([(0, 1)])
+    law = DynamicExtension("0.4", 1, 5, 1)
+    assert _statuses(system, {"v": 5}, law, limits=limits) == ("PROVED", "PROVED", "PROVED")
+    assert _statuses(system, {"v": 5}, PassiveOutput("0.2", 1, "0.1"), limits=limits) == ("PROVED",) * 3
+
+
+def test_a_constant_load_is_held_from_everywhere():
+    """V = c q is cancelled by kappa, so any amplitude alpha > 0 grows."""
+    q, p = _symbols("q", "p")
+    system = Mechanical([q], [p], M=[[1]], V=1.5 * q, D=[1], G=[[1]])
+    assert _statuses(system, {"q": 0}, DynamicExtension(1, 3, 5, 1)) == ("PROVED", "PROVED", "PROVED")
+
+
+def test_saturation_below_kappa_loses_the_global_claim_where_only_ln_cosh_grows():
+    """kappa = -10 sin(0.5) pulls without bound where the potential 10 (1 - cos q) does not grow."""
+    q, p = _symbols("q", "p")
+    system = Mechanical([q], [p], M=[[1]], V=10 * (1 - ca.cos(q)), D=[1], G=[[1]])
+    claims = _claims(system, {"q": "0.5"}, DynamicExtension(2, 3, 50, 1))
+    assert claims["asymptotically-stable"].status == "PROVED"
+    assert claims["globally-asymptotically-stable"].status != "PROVED"
+
+
+def test_the_integral_law_is_never_called_global():
+    design = load("pera_integral")
+    claims = {c.claim: c for c in check(design).claims}
+    assert claims["globally-asymptotically-stable"].status == "UNDECIDED"
+    assert isinstance(design.law, Integral)
+
+
+@pytest.mark.parametrize("name", ["rlc", "pera"])
+def test_the_reference_designs_that_are_global(name):
+    claims = {c.claim: c for c in check(load(name)).claims}
+    assert claims["globally-asymptotically-stable"].status == "PROVED"
+
+
+def test_the_coupling_device_is_global_when_theta_is_met_and_open_with_the_printed_gains():
+    design = load("coupling_device")
+    printed = {c.claim: c for c in check(design).claims}
+    assert printed["theta"].status == "REFUTED"
+    assert printed["globally-asymptotically-stable"].status == "UNDECIDED"
+    law = NaturalDamping("2.5", 450, 10**6, "0.3", alpha_l="2.5", beta_l=2 * 10**6, K_l=15, R_l=33)
+    met = {c.claim: c for c in check(design.with_(law=law)).claims}
+    assert met["theta"].status == "PROVED"
+    assert met["globally-asymptotically-stable"].status == "PROVED"
+
+
+def test_negative_damping_is_neither_stable_nor_global():
+    q, p = _symbols("q", "p")
+    system = Mechanical([q], [p], M=[[1]], V=q**2 / 2, D=[-1], G=[[1]])
+    claims = _claims(system, {"q": 0})
+    assert claims["assumption-1"].status == "REFUTED"
+    assert claims["globally-asymptotically-stable"].status != "PROVED"
+
+
+def test_a_domain_makes_the_global_claim_local():
+    q, p = _symbols("q", "p")
+    system = Mechanical([q], [p], M=[[1]], V=q**2 / 2, D=[1], G=[[1]], domain={"q": (-1, 1)})
+    claims = _claims(system, {"q": 0})
+    assert claims["asymptotically-stable"].status == "PROVED"
+    assert claims["globally-asymptotically-stable"].status == "UNDECIDED"
