@@ -134,7 +134,7 @@ def _constant_rows(plant: Plant, structure: PowerStructure, gamma: ca.SX, signal
     except (UnsupportedOperation, ZeroDivisionError):
         return None
     zero = field.const(0)
-    split = _constant_part(B.dense(zero))
+    split = constant_part(B.dense(zero))
     if split is None:
         return None
     B0, complete = split
@@ -153,7 +153,7 @@ def _constant_rows(plant: Plant, structure: PowerStructure, gamma: ca.SX, signal
     return _Rows(B0, [[entry for entry in row if entry is not None] for row in y], found, complete)
 
 
-def _constant_part(B: list[list[Quotient]]) -> tuple[RealMatrix, bool] | None:
+def constant_part(B: list[list[Quotient]]) -> tuple[RealMatrix, bool] | None:
     """A constant B0 >= 0 with B - B0 diagonal and nonnegative, and whether B is B0.
 
     None where no such B0 was found: lowering the diagonal of B to constants may lose the sign of the whole.

@@ -288,13 +288,13 @@ def _independent_rows(
         values |= dict(zip(unknown, sample, strict=True))
         x = np.array([values[n] for n in names[: plant.system.n]])
         u = np.array([values[n] for n in names[plant.system.n :]])
-        rows = _greedy_rows(np.array(ca.densify(function(x, u))))
+        rows = greedy_rows(np.array(ca.densify(function(x, u))))
         if len(rows) > len(best):
             best = rows
     return best
 
 
-def _greedy_rows(matrix: NDArray[np.float64]) -> list[int]:
+def greedy_rows(matrix: NDArray[np.float64]) -> list[int]:
     """Row indices that raise the rank, by Gram-Schmidt on rows of unit length."""
     basis: list[NDArray[np.float64]] = []
     chosen = []

@@ -287,7 +287,7 @@ def _kc_claim(
             "satisfy hessian-condition",
         )
     gains = exact_matrix(K_c)
-    verdict = positive_definite(_extended(shape, stiffness, gains))
+    verdict = positive_definite(extended_hessian(shape, stiffness, gains))
     required = max(0.0, eigenvalues(bound)[-1])
     if verdict.status is Status.PROVED:
         evidence = "hess S_dc > 0" + (f"; K_c = k I needs k > {required:.6g}" if required > 0 else "; any K_c > 0 does")
@@ -306,7 +306,7 @@ def _kc_claim(
     )
 
 
-def _extended(shape: Shape, stiffness: RealMatrix, K_c: RealMatrix) -> RealMatrix:
+def extended_hessian(shape: Shape, stiffness: RealMatrix, K_c: RealMatrix) -> RealMatrix:
     """hess S_dc at (x*, 0), (n + m) x (n + m) (hessSdc)."""
     NA = multiply(shape.N, stiffness)
     top = [[*row, *extra] for row, extra in zip(shape.hessian(stiffness), NA, strict=True)]
