@@ -14,13 +14,14 @@ local: the exact zero-order hold of the plant and the implicit step have all eig
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from flint import acb, acb_mat, arb, fmpq
+from flint import acb_mat, arb, fmpq
 from numpy.typing import NDArray
 
 from pbcgen.control.attractivity import Situation
@@ -31,13 +32,13 @@ from pbcgen.models.exact import decimal
 from pbcgen.models.laws import DynamicExtension, Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.dissipation import port_damping
 from pbcgen.passivity.plant import Plant
-from pbcgen.passivity.shaping import congruence, diagonal, exact_matrix, transpose
+from pbcgen.passivity.shaping import diagonal, exact_matrix, multiply, transpose
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import RealMatrix, positive_definite, positive_semidefinite
 from pbcgen.proof.extrema import term_bounds
 from pbcgen.proof.spectrum import Stability, hurwitz, schur
-from pbcgen.symbolic.real import BITS, ball, enclose, midpoint, precision, rational
+from pbcgen.symbolic.real import BITS, Real, ball, enclose, midpoint, precision, rational
 
 #: How far the scan goes, as a multiple of the design's period, and how many cells a quick one may try.
 _REACH = 10**4
@@ -236,24 +237,30 @@ class Jitter:
 
 def jitter(loop: LinearLoop, shortest: Fraction, longest: Fraction, delay: Fraction = Fraction(0)) -> Jitter:
     """Look for one P > 0 with ``P - M(h)^T P M(h) > 0`` for every h in the interval, verified on cells of balls."""
+    undecided = Jitter(shortest, longest, Status.UNDECIDED, None)
     with precision(SCAN_BITS):
         transition = Transition(loop, delay)
-        centre = ball(rational((shortest + longest) / 2))
         try:
-            _, V = transition.jet(centre).c0.eig(right=True, algorithm="approx")
-            V = acb_mat(V.nrows(), V.ncols(), [V[i, j].mid() for i in range(V.nrows()) for j in range(V.ncols())])
-            inverse = V.inv()
+            basis = _modal_basis(transition.jet(ball(rational((shortest + longest) / 2))).c0)
         except (ValueError, ZeroDivisionError):
-            return Jitter(shortest, longest, Status.UNDECIDED, None)
-
-        def modal(h: arb) -> acb_mat:
-            return inverse * transition.jet(h).c0 * V
-
-        P = _candidate([_embedded(modal(ball(rational(h)))) for h in _spread(shortest, longest, 7)])
+            return undecided
+        samples = []
+        for h in _spread(shortest, longest, 9):
+            M = basis[0] * transition.jet(ball(rational(h))).c0 * basis[1]
+            samples.append(np.array([[float(v.mid()) for v in row] for row in _embedded(M)]))
+        P = _candidate(samples)
         if P is None or positive_definite(_rationals(P)).status is not Status.PROVED:
-            return Jitter(shortest, longest, Status.UNDECIDED, None)
-        proved = _decreases(P, transition, (inverse, V), shortest, longest, 12)
-        return Jitter(shortest, longest, Status.PROVED if proved else Status.UNDECIDED, P)
+            return undecided
+        if not _decreases(_rationals(P), transition, basis, shortest, longest, 8):
+            return undecided
+        return Jitter(shortest, longest, Status.PROVED, P)
+
+
+def _modal_basis(M: acb_mat) -> tuple[acb_mat, acb_mat]:
+    """(V^{-1}, V) of eigenvectors."""
+    _, V = M.eig(right=True, algorithm="approx")
+    V = acb_mat(V.nrows(), V.ncols(), [V[i, j].mid() for i in range(V.nrows()) for j in range(V.ncols())])
+    return V.inv(), V
 
 
 def _spread(lo: Fraction, hi: Fraction, count: int) -> list[Fraction]:
@@ -267,27 +274,44 @@ def _embedded(matrix: acb_mat) -> list[list[arb]]:
     return rows + [[*(matrix[i, j].imag for j in range(n)), *(matrix[i, j].real for j in range(n))] for i in range(n)]
 
 
-def _candidate(matrices: Sequence[Sequence[Sequence[arb]]]) -> NDArray[np.float64] | None:
-    """P with ``P = I + mean_k M_k^T P M_k`` in modal coordinates, by doubling of a truncated series."""
-    M = [np.array([[float(v.mid()) for v in row] for row in matrix]) for matrix in matrices]
-    size = M[0].shape[0]
-    # In modal coordinates a mode of modulus rho needs a storage of about 1/(1 - rho^2): scale it out.
-    weights = np.array([max(1e-300, 1 - float(np.max([np.hypot(*_mode(m, i)) for m in M])) ** 2) for i in range(size)])
-    P = np.diag(1 / np.maximum(weights, 1e-14))
-    if size <= 40:
-        operator = np.eye(size * size) - sum(np.kron(m.T, m.T) for m in M) / len(M)
+def _candidate(samples: list[NDArray[np.float64]]) -> NDArray[np.float64] | None:
+    """P > 0 that decreases along every sample, or None: ``P = Q + sum_k w_k M_k^T P M_k`` with weights that learn."""
+    size = samples[0].shape[0]
+    if size > _LARGEST_STORAGE:
+        return None
+    scale = _balance(samples)
+    balanced = [m * scale[None, :] / scale[:, None] for m in samples]
+    operators = [np.kron(m.T, m.T) for m in balanced]
+    weights = np.full(len(samples), 1 / len(samples))
+    for _ in range(_LESSONS):
+        total = np.eye(size * size) - sum(w * o for w, o in zip(weights, operators, strict=True))
         try:
-            P = np.linalg.solve(operator, np.diag(np.ones(size)).ravel()).reshape(size, size)
+            P = np.linalg.solve(total, np.eye(size).ravel()).reshape(size, size)
         except np.linalg.LinAlgError:
             return None
-    P = (P + P.T) / 2
-    return P if np.all(np.isfinite(P)) and np.all(np.linalg.eigvalsh(P) > 0) else None
+        P = (P + P.T) / 2
+        margins = np.array([np.linalg.eigvalsh(P - m.T @ P @ m)[0] for m in balanced])
+        if np.all(margins > 0) and np.linalg.eigvalsh(P)[0] > 0:
+            return np.asarray(P / scale[:, None] / scale[None, :])
+        weights = weights * np.exp(-margins / max(1e-9, float(np.max(np.abs(margins)))))
+        weights /= weights.sum()
+    return None
 
 
-def _mode(m: NDArray[np.float64], i: int) -> tuple[float, float]:
-    half = m.shape[0] // 2
-    j = i % half
-    return float(m[j, j]), float(m[half + j, j])
+#: Limits of the search for a common storage: order of the embedded matrices, rounds of the weights.
+_LARGEST_STORAGE = 32
+_LESSONS = 25
+
+
+def _balance(samples: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Scales of the coordinates that make the coupling of each row and its column alike."""
+    coupling = np.max([np.abs(m - np.diag(np.diag(m))) for m in samples], axis=0)
+    scale = np.ones(len(coupling))
+    for _ in range(30):
+        rows, columns = (coupling @ scale) / scale, scale * (coupling.T @ (1 / scale))
+        ratio = np.sqrt((rows + 1e-300) / (columns + 1e-300))
+        scale = scale * np.clip(ratio, 0.5, 2.0)
+    return np.exp2(np.round(np.log2(scale)))
 
 
 def _rationals(P: NDArray[np.float64]) -> RealMatrix:
@@ -295,22 +319,32 @@ def _rationals(P: NDArray[np.float64]) -> RealMatrix:
 
 
 def _decreases(
-    P: NDArray[np.float64],
-    transition: Transition,
-    basis: tuple[acb_mat, acb_mat],
-    lo: Fraction,
-    hi: Fraction,
-    depth: int,
+    P: RealMatrix, transition: Transition, basis: tuple[acb_mat, acb_mat], lo: Fraction, hi: Fraction, depth: int
 ) -> bool:
-    """Whether P decreases for every h in [lo, hi]: mean value form on the interval, else on its halves."""
+    """Whether P decreases for every h in [lo, hi], else on its halves.
+
+    With ``M(h) = M0 + d M1 + d^2 M2``, tight at the centre and M2 enclosed: the terms of first order in d are summed
+    before d is made a ball, so that they cancel as they do in truth.
+    """
     inverse, V = basis
-    centre, span = ball(rational((lo + hi) / 2)), enclose(lo, hi)
-    here, slope = transition.jet(centre).c0, transition.jet(span).c1
-    M = _embedded(inverse * (here + slope * acb(span - centre)) * V)
-    exact = _rationals(P)
-    after = congruence(transpose(M), exact)
-    left = [[p - a for p, a in zip(x, y, strict=True)] for x, y in zip(exact, after, strict=True)]
-    if positive_definite(left).status is Status.PROVED:
+    centre = ball(rational((lo + hi) / 2))
+    here, curve = transition.jet(centre), transition.jet(enclose(lo, hi)).c2
+    M0, M1, M2 = (_embedded(inverse * part * V) for part in (here.c0, here.c1, curve))
+    d = enclose((lo - hi) / 2, (hi - lo) / 2)
+    PM0, PM1, PM2 = (multiply(P, M) for M in (M0, M1, M2))
+    zeroth = multiply(transpose(M0), PM0)
+    first = multiply(transpose(M0), PM1)
+    bent = multiply(transpose(M0), PM2)
+    steep = multiply(transpose(M1), PM1)
+    mixed = multiply(transpose(M1), PM2)
+    last = multiply(transpose(M2), PM2)
+    size = range(len(P))
+
+    def left(i: int, j: int) -> Real:
+        second = bent[i][j] + bent[j][i] + steep[i][j] + d * (mixed[i][j] + mixed[j][i]) + d * d * last[i][j]
+        return P[i][j] - zeroth[i][j] - d * (first[i][j] + first[j][i]) - d * d * second
+
+    if positive_definite([[left(max(i, j), min(i, j)) for j in size] for i in size]).status is Status.PROVED:
         return True
     if depth == 0 or hi == lo:
         return False
@@ -323,28 +357,39 @@ def _decreases(
 
 @dataclass(frozen=True)
 class GainChange:
-    """Gains that the wished period allows: ``gain`` times ``factor``, proved by the spectral route."""
+    """Gains that the wished period allows, proved by the spectral route: each named gain times its factor."""
 
-    gain: str
-    factor: Fraction
+    factors: Mapping[str, Fraction]
     law: Law
 
+    def __str__(self) -> str:
+        return " and ".join(f"{gain} by {_plain(factor)}" for gain, factor in self.factors.items())
 
-def scaled(law: Law, gain: str, factor: Fraction) -> Law:
-    """The law with every beta (``alpha*beta``: amplitudes stay, so do the input ranges) or R_c times a factor."""
+
+#: Ways to make a loop slower, as powers of one factor t < 1 for each gain. Amplitudes alpha stay, so do input ranges.
+_MOVES: tuple[Mapping[str, int], ...] = (
+    {"alpha*beta": 1},
+    {"R_c": 1},
+    {"R_c": -1},
+    {"alpha*beta": 1, "R_c": -1},
+    {"alpha*beta": 1, "K_c": -1},
+)
+
+
+def scaled(law: Law, factors: Mapping[str, Fraction]) -> Law:
+    """The law with gains multiplied: ``alpha*beta`` stands for every beta of the base law, others for themselves."""
     if isinstance(law, Integral):
-        return Integral(scaled(law.base, gain, factor), law.alpha_psi, law.beta_psi, law.R_psi)  # type: ignore[arg-type]
-    names = {"alpha*beta": ("beta", "beta_c", "beta_l"), "R_c": ("R_c",)}[gain]
-    changes = {}
-    for name in names:
-        value = getattr(law, name, None)
-        if value is not None:
-            nested = isinstance(value[0], tuple)
-            changes[name] = tuple(tuple(v * factor for v in entry) if nested else entry * factor for entry in value)
+        return Integral(scaled(law.base, factors), law.alpha_psi, law.beta_psi, law.R_psi)  # type: ignore[arg-type]
+    given = {**factors, **dict.fromkeys(("beta", "beta_c", "beta_l"), factors.get("alpha*beta", Fraction(1)))}
     copy = object.__new__(type(law))
-    for key, value in {**law.__dict__, **changes}.items():
-        object.__setattr__(copy, key, value)
+    for key, value in law.__dict__.items():
+        factor = given.get(key)
+        object.__setattr__(copy, key, value if factor is None else _times(value, factor))
     return copy
+
+
+def _times(value: Any, factor: Fraction) -> Any:
+    return tuple(_times(v, factor) for v in value) if isinstance(value, tuple) else value * factor
 
 
 def gain_change(
@@ -354,26 +399,33 @@ def gain_change(
     acceptable: Callable[[Law], bool] = lambda law: True,
     delay: Fraction = Fraction(0),
 ) -> GainChange | None:
-    """The mildest scaling, to two digits, of alpha*beta or of R_c that is proved to allow the period h.
+    """The mildest change of alpha*beta, R_c or K_c by a common factor that is proved to allow the period h.
 
     Each factor that is tried is decided by the certified spectral test; ``acceptable`` may veto gains that break
-    another claim, such as the Hessian condition.
+    another claim.
     """
-    best: GainChange | None = None
-    for gain in ("alpha*beta", "R_c"):
-        if gain == "R_c" and isinstance(law, PassiveOutput):
+    best: tuple[Fraction, GainChange] | None = None
+    for move in _MOVES:
+        if isinstance(law, PassiveOutput) and set(move) != {"alpha*beta"}:
             continue
 
-        def good(factor: Fraction, gain: str = gain) -> bool:
-            candidate = scaled(law, gain, factor)
+        def factors(t: Fraction, move: Mapping[str, int] = move) -> dict[str, Fraction]:
+            return {gain: t**power for gain, power in move.items()}
+
+        def good(t: Fraction, factors: Callable[[Fraction], dict[str, Fraction]] = factors) -> bool:
+            candidate = scaled(law, factors(t))
             if not acceptable(candidate):
                 return False
             return schur(transition_matrix(family.loop(candidate), h, delay)).status is Status.PROVED
 
-        factor = _mildest(good)
-        if factor is not None and (best is None or factor > best.factor):
-            best = GainChange(gain, factor, scaled(law, gain, factor))
-    return best
+        t = _mildest(good)
+        if t is not None and (best is None or t > best[0]):
+            best = t, GainChange(factors(t), scaled(law, factors(t)))
+    return None if best is None else best[1]
+
+
+def _plain(value: Fraction) -> str:
+    return decimal(value) if Fraction(f"{float(value):.6g}") == value else str(value)
 
 
 def transition_matrix(loop: LinearLoop, h: Fraction, delay: Fraction = Fraction(0)) -> RealMatrix:
@@ -383,27 +435,13 @@ def transition_matrix(loop: LinearLoop, h: Fraction, delay: Fraction = Fraction(
         return [list(row) for row in _embedded(M)]
 
 
+#: Factors that are tried: 1/2 to 1/500 in short decimals, mildest first.
+_FACTORS = tuple(Fraction(n, 10**k) for k in (1, 2, 3) for n in ((8, 5, 4, 2) if k == 1 else (10, 8, 5, 4, 2)))
+
+
 def _mildest(good: Callable[[Fraction], bool]) -> Fraction | None:
-    """A factor below one, of two digits, that is good while its successor on the grid is not."""
-    steps = [Fraction(1, 2) ** k for k in range(1, 25)]
-    found = next((k for k, t in enumerate(steps) if good(t)), None)
-    if found is None:
-        return None
-    lo, hi = steps[found], steps[found] * 2
-    for _ in range(7):
-        middle = (lo + hi) / 2
-        lo, hi = (middle, hi) if good(middle) else (lo, middle)
-    rounded = _two_digits_below(lo)
-    return rounded if good(rounded) else lo
-
-
-def _two_digits_below(value: Fraction) -> Fraction:
-    digits = 2
-    exponent = 0
-    while value * Fraction(10) ** exponent < 10 ** (digits - 1):
-        exponent += 1
-    unit = Fraction(10) ** -exponent
-    return (value // unit) * unit
+    """The largest factor of the list that is good; each is tested, since the good ones need not be an interval."""
+    return next((t for t in _FACTORS if good(t)), None)
 
 
 # --- the claim ---------------------------------------------------------------------------------------------------
@@ -527,7 +565,7 @@ def _hint(routes: Routes, asymptotic: Claim, change: GainChange | None) -> str:
     largest = routes.proved_to
     parts = [f"sample at h = {_below(largest)} s or faster, which is proved"] if largest else []
     if change is not None:
-        parts.append(f"or multiply {change.gain} by {decimal(change.factor)}, which is proved to allow this h")
+        parts.append(f"or multiply {change}, which is proved to allow this h (local)")
     else:
         parts.append("or lower alpha*beta and R_c")
     parts.append("or model the friction that the plant has")
