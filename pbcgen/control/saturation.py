@@ -8,6 +8,7 @@ from fractions import Fraction
 
 import casadi as ca
 
+from pbcgen.control.amplitudes import blocking, rooms, row_text
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Design
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
@@ -72,6 +73,15 @@ def saturation(plant: Plant, design: Design, law: Law, point: Point) -> Saturati
             for c, a in zip(centres, sizes, strict=True)
         )
         return Saturation(_compare(plant, design, ranges, centres), ranges)
+
+
+def offsets(plant: Plant, law: Law, point: Point) -> list[tuple[Real, Real]] | None:
+    """For each input the range of what the law adds its saturated terms to; None if one has no bound."""
+    with precision(BITS):
+        if not isinstance(law.base if isinstance(law, Integral) else law, PotentialCompensation):
+            return [(u, u) for u in point.u]
+        found = _potential_ranges(plant)
+        return [(r.lo, r.hi) for r in found if r is not None] if all(r is not None for r in found) else None
 
 
 def _potential_ranges(plant: Plant) -> list[Range | None]:
@@ -168,16 +178,17 @@ def _compare(plant: Plant, design: Design, ranges: Sequence[Range | None], centr
             )
     known = [found for found in ranges if found is not None]
     shown = ", ".join(f"{n} in [{text(r.lo, 9)}, {text(r.hi, 9)}]" for n, r in zip(names, known, strict=True))
+    offsets = [(c.lo, c.hi) for c in centres if c is not None]
     problems = _interval_slacks(design, names, known) + _row_slacks(design, names, known)
     worst = next((p for p in problems if p[1] == -1), None) or next((p for p in problems if p[1] is None), None)
     if worst is None:
-        limits = "limits respected" if problems else "no limits given"
+        limits = _least_slack(problems) if problems else "no limits given"
         return Claim(
             "saturation", Status.PROVED, "all inputs", "interval arithmetic over the rationals", f"{shown}; {limits}"
         )
     label, certain, excess = worst
     status = Status.REFUTED if certain == -1 and _attained(centres) else Status.UNDECIDED
-    hint = _hint(design, centres, label, excess)
+    hint = _hint(design, offsets, label, excess)
     counterexample = {"limit": label, "excess": text(excess, 6)} if status is Status.REFUTED else None
     return Claim(
         "saturation",
@@ -225,20 +236,21 @@ def _row_slacks(design: Design, names: Sequence[str], ranges: Sequence[Range]) -
             if a != 0:
                 largest = largest + rational(a) * (found.hi if a > 0 else found.lo)
         slack = rational(bound) - largest
-        terms = " + ".join(f"{text(rational(a))}*{n}" for a, n in zip(row, names, strict=True) if a)
-        result.append((f"{terms} <= {text(rational(bound))}", _sign_of_slack(slack), -slack))
+        result.append((f"{row_text(row, names)} <= {text(rational(bound))}", _sign_of_slack(slack), -slack))
     return result
 
 
-def _hint(design: Design, centres: Sequence[Range | None], label: str, excess: Real) -> str:
-    for c, name, (lo, hi) in zip(centres, design.system.input_names, design.input_set.intervals, strict=True):
-        if c is None:
-            continue
-        too_high = hi is not None and sign(rational(hi) - c.hi) in (0, -1)
-        too_low = lo is not None and sign(c.lo - rational(lo)) in (0, -1)
-        if too_high or too_low:
-            return (
-                f"no alpha can help: the equilibrium input {name} = {text(c.hi if too_high else c.lo, 9)} is at or "
-                "beyond its limit; choose another target or actuator"
-            )
-    return f"reduce the amplitudes alpha that enter {label.split(' ', maxsplit=1)[0]} by {text(excess, 6)} in total"
+def _least_slack(slacks: Sequence[_Slack]) -> str:
+    """The limit that is nearest, with what is left to it."""
+    label, _, excess = max(slacks, key=lambda s: midpoint(s[2]))
+    return f"limits respected, {text(-excess, 6) if sign(excess) else '0'} left to {label}"
+
+
+def _hint(design: Design, centres: Sequence[tuple[Real, Real]], label: str, excess: Real) -> str:
+    blocked = blocking(rooms(design, centres))
+    if blocked is not None:
+        return (
+            f"no alpha can help: without it the input is already at or beyond {blocked.limit} "
+            f"(by {float(-blocked.room):.6g}); choose another target or actuator"
+        )
+    return f"reduce the amplitudes alpha that enter {label} by {text(excess, 6)} in total"
