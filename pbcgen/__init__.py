@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -73,3 +75,35 @@ def __getattr__(name: str) -> Any:
     value = getattr(import_module(_HOMES[name]), name)
     globals()[name] = value
     return value
+
+
+def _register_notebook_formats() -> None:
+    """Inside IPython, show designs, reports and derivations richly; nothing is imported before the first is shown."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    if shell is not None:
+        load_ipython_extension(shell)
+
+
+def load_ipython_extension(shell: Any) -> None:
+    """``%load_ext pbcgen``; importing pbcgen in a notebook does the same."""
+
+    def shown(kind: str, key: tuple[str, str]) -> Callable[[Any], Any]:
+        def show(value: Any) -> Any:
+            return import_module("pbcgen.report.notebook").FORMATS[key][kind](value)
+
+        return show
+
+    for module, name, kinds in (
+        ("pbcgen.pipeline", "Report", ("text/html", "text/latex")),
+        ("pbcgen.pipeline", "Simulation", ("image/png",)),
+        ("pbcgen.proof.claim", "Claim", ("text/html",)),
+        ("pbcgen.control.derive", "Derivation", ("text/html", "text/latex")),
+        ("pbcgen.models.design", "Design", ("text/html", "text/latex")),
+    ):
+        for kind in kinds:
+            formatter = shell.display_formatter.formatters[kind]
+            formatter.for_type_by_name(module, name, shown(kind, (module, name)))
+
+
+_register_notebook_formats()

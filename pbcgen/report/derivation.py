@@ -13,6 +13,7 @@ import casadi as ca
 
 from pbcgen.control.derive import Derivation
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.models.design import Design
 from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation, gains
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.shaping import Shape, diagonal, shape_at
@@ -403,12 +404,15 @@ _LAWS: dict[str, tuple[tuple[str, ...], str]] = {
 }
 
 
-def _law(d: Derivation) -> Step:
-    law = d.law
+def law_formulas(design: Design) -> list[Formula]:
+    """The target, the law and its gains, as the user gave them."""
+    wanted = ", ".join(f"{name_as_latex(c.name)} = {number(c.value, 12)}" for c in design.target.conditions)
+    return [Formula("Target", wanted), *_law_formulas(design.law.resolve(design.system.m))]
+
+
+def _law_formulas(law: Any) -> list[Formula]:
     base = law.base if isinstance(law, Integral) else law
-    name = "dynamic-extension" if base is None else base.name
-    equations, formula = _LAWS[name]
-    formulas = [Formula("Control law", formula)]
+    formulas = [Formula("Control law", _LAWS[base.name][1])]
     if not isinstance(base, PassiveOutput):
         suffix = "_c" if isinstance(base, NaturalDamping) else ""
         formulas.append(
@@ -417,7 +421,6 @@ def _law(d: Derivation) -> Step:
     if isinstance(base, NaturalDamping):
         formulas.append(Formula("Filter (dxl)", r"\dot x_\ell = -R_\ell\, \alpha_\ell \tanh(\beta_\ell z_\ell)"))
     if isinstance(law, Integral):
-        equations = (*equations, "conint", "dpsi")
         formulas.append(
             Formula(
                 "Filter against steady-state errors (dpsi), added to u as the term in psi",
@@ -425,14 +428,21 @@ def _law(d: Derivation) -> Step:
                 r", \quad u_\psi = -\alpha_\psi \tanh(\beta_\psi \psi)",
             )
         )
-    if law is not None:
-        formulas.append(Formula("Gains", _gain_line(law)))
-    intervals = [i for i in d.derived.get("input_intervals") or () if i is not None]
-    if intervals:
-        bounds = [
-            rf"{name_as_latex(n)} \in \left[{number(float(lo), 9)}, {number(float(hi), 9)}\right]"
-            for n, (lo, hi) in zip(d.plant.system.input_names, intervals, strict=False)
-        ]
+    return [*formulas, Formula("Gains", _gain_line(law))]
+
+
+def _law(d: Derivation) -> Step:
+    law = d.law if d.law is not None else d.design.law.resolve(d.plant.system.m)
+    base = law.base if isinstance(law, Integral) else law
+    equations = _LAWS[base.name][0] + (("conint", "dpsi") if isinstance(law, Integral) else ())
+    formulas = _law_formulas(law)
+    intervals = d.derived.get("input_intervals") or ()
+    bounds = [
+        rf"{name_as_latex(name)} \in \left[{number(float(pair[0]), 9)}, {number(float(pair[1]), 9)}\right]"
+        for name, pair in zip(d.plant.system.input_names, intervals, strict=False)
+        if pair is not None
+    ]
+    if bounds:
         formulas.append(Formula("Range of the input, for every state and every measurement", r", \quad ".join(bounds)))
     measured = ", ".join(d.plant.system.measured_names)
     return Step(

@@ -99,7 +99,7 @@ def _environment() -> jinja2.Environment:
         keep_trailing_newline=True,
         autoescape=True,
     )
-    environment.filters |= {"math": _math, "formula": _block, "symbol": _symbol, "figure": figure}
+    environment.filters |= {"math": _math, "formula": block_filter, "symbol": symbol_filter, "figure": figure}
     environment.filters |= {"zip_names": _zip_names, "interval": _interval, "bounds": _interval}
     environment.globals |= {"asset": _asset, "icons": ICONS, "meanings": MEANINGS}
     return environment
@@ -109,11 +109,13 @@ def _math(latex: str) -> Markup:
     return Markup(mathml(latex))  # latex2mathml escapes what it is given
 
 
-def _block(latex: str) -> Markup:
+def block_filter(latex: str) -> Markup:
+    """A displayed formula as MathML."""
     return Markup(mathml(latex, block=True))
 
 
-def _symbol(name: str) -> Markup:
+def symbol_filter(name: str) -> Markup:
+    """A name of the model as MathML."""
     return _math(name_as_latex(name))
 
 

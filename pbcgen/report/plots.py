@@ -29,7 +29,8 @@ Array = NDArray[np.float64]
 #: The palette of Okabe and Ito without its yellow: told apart by colour-blind readers, and on white paper.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 
-_STYLE: dict[Any, Any] = {
+#: How every picture looks.
+STYLE: dict[Any, Any] = {
     "font.size": 11.0,
     "axes.titlesize": 11.0,
     "axes.spines.top": False,
@@ -103,7 +104,7 @@ def plot_closed_loop(
     states = panels(sampled.x, sampled.state_names, sampled.state_units, levels, held=False)
     inputs = panels(sampled.u, sampled.input_names, sampled.input_units, limits, held=True)
     unit, factor = _time_unit(float(max(continuous.times[-1], sampled.times[-1])))
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(16, 9), dpi=100, layout="constrained")
         figure.suptitle(title, fontsize=15, x=0.012, ha="left")
         for panel, place in zip([*states, *inputs], _places(figure, len(states), len(inputs)), strict=True):
@@ -125,7 +126,7 @@ def save(figure: Figure, path: Path | str) -> None:
     if suffix not in _METADATA:
         raise ModelError(f"`{path}` does not end in {', '.join(sorted(_METADATA))}: choose one of them")
     try:
-        with mpl.rc_context(_STYLE):
+        with mpl.rc_context(STYLE):
             figure.savefig(path, metadata=_METADATA[suffix])
     except OSError as error:
         raise ModelError(f"`{path}` cannot be written: {error.strerror}") from error

@@ -2,6 +2,21 @@
 (() => {
   const root = document.documentElement;
   const wantsDark = window.matchMedia("(prefers-color-scheme: dark)");
+
+  /* ---- on paper nothing scrolls, so a formula that is too wide is set smaller ---- */
+  function shrink(paper) {
+    document.querySelectorAll(".formula math").forEach((m) => { m.style.fontSize = ""; });
+    if (!paper) { return; }
+    document.querySelectorAll(".formula math").forEach((m) => {
+      const room = m.parentElement.clientWidth - 20, need = m.getBoundingClientRect().width;
+      if (need > room) { m.style.fontSize = `${Math.max(0.4, room / need).toFixed(3)}em`; }
+    });
+  }
+  const onPaper = window.matchMedia("print");
+  onPaper.addEventListener("change", () => shrink(onPaper.matches));
+  window.addEventListener("beforeprint", () => shrink(true));
+  window.addEventListener("afterprint", () => shrink(false));
+
   const colour = (name) => getComputedStyle(root).getPropertyValue(name).trim();
   const charts = [];
 

@@ -1,0 +1,124 @@
+"""The page holds everything, is complete in itself, and is the same every time."""
+
+import json
+import re
+from html.parser import HTMLParser
+
+import pytest
+from designs import circuit, circuit_page, refused
+
+from pbcgen import pipeline
+from pbcgen.models.loader import load
+from pbcgen.proof.claim import Status
+from pbcgen.report.page import page
+
+pytestmark = pytest.mark.slow
+
+
+class Elements(HTMLParser):
+    """All start tags of a page with their attributes, and the tags that were left open."""
+
+    VOID = frozenset({"meta", "link", "br", "line", "mspace"})
+
+    def __init__(self, text):
+        super().__init__()
+        self.found, self.open = [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.found.append((tag, dict(attributes)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.found.append((tag, dict(attributes)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag, tag
+
+
+def test_two_pages_of_one_design_are_equal():
+    report, package = circuit()
+    assert page(report, package) == circuit_page()
+
+
+def test_every_element_is_closed_and_nothing_outside_is_needed():
+    elements = Elements(circuit_page())
+    assert elements.open == []
+    for tag, attributes in elements.found:
+        for name in ("src", "href", "action", "data"):
+            target = attributes.get(name)
+            assert target is None or target.startswith(("#", "data:")), f"<{tag} {name}={target}>"
+    assert "@import" not in circuit_page()
+
+
+def test_links_inside_the_page_lead_somewhere():
+    elements = Elements(circuit_page())
+    anchors = {attributes["id"] for _, attributes in elements.found if "id" in attributes}
+    assert {a["href"][1:] for t, a in elements.found if t == "a"} <= anchors
+
+
+def test_every_verdict_has_its_word_and_its_sign():
+    text = circuit_page()
+    report, _ = circuit()
+    for claim in report.claims:
+        row = re.search(rf'id="claim-{claim.claim}".*?</tr>', text, re.DOTALL).group()
+        assert f"</span> {claim.status.value}</span>" in row
+    assert "✓" in text
+
+
+def test_hashes_and_files_are_those_of_the_package():
+    report, package = circuit()
+    text = circuit_page()
+    assert report.model_hash in text
+    manifest = json.loads(package.files["manifest.json"])
+    for entry in manifest["files"].values():
+        assert entry["sha256"] in text
+    assert manifest["files"]["certificate.json"]["sha256"] in re.search("<dt>Certificate.*?</dd>", text, re.DOTALL)[0]
+
+
+def test_tables_have_headers_and_pictures_have_words():
+    elements = Elements(circuit_page())
+    assert all("scope" in a for t, a in elements.found if t == "th")
+    pictures = [a for _, a in elements.found if a.get("role") == "img"]
+    assert len(pictures) >= 4
+    assert all(len(a["aria-label"]) > 20 and a["tabindex"] == "0" for a in pictures)
+
+
+def test_the_derivation_names_its_equations():
+    for name in ("pascond", "ypas", "hesscond", "dxc", "uc", "dSdc", "kappa"):
+        assert name in circuit_page(), name
+
+
+def test_the_page_stays_small():
+    assert len(circuit_page().encode()) < 500_000
+
+
+def test_a_refused_design_has_a_page_that_says_why():
+    report = refused()
+    text = page(report, None)
+    assert "No code is generated without your consent" in text
+    assert Status.REFUTED in {c.status for c in report.claims}
+    assert "Counterexample:" in text
+    assert 'id="package"' not in text
+
+
+def test_an_allowed_claim_is_named_in_the_page():
+    report = refused()
+    if report.control is None:
+        pytest.skip("there is no law to allow")
+    allowed = tuple(c.claim for c in report.blocking())
+    text = page(report, pipeline.package(report, allow=allowed))
+    for claim in allowed:
+        assert f"NOT PROVED ({claim}), allowed by the user" in text
+
+
+def test_two_designs_can_be_compared():
+    report, package = circuit()
+    earlier = pipeline.check(load("rlc").with_(law=report.design.law.__class__("0.02", 1, 10, 10), duration="0.05"))
+    text = page(report, package, before=earlier)
+    assert "Before and after" in text
+    assert "gain alpha" in text
+    data = json.loads(re.search(r'id="plot-data">(.*?)</script>', text, re.DOTALL)[1])
+    assert "before x2" in data["columns"]
+    assert all(len(c) == len(data["times"]) for c in data["columns"].values())
