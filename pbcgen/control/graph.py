@@ -15,9 +15,10 @@ from fractions import Fraction
 import casadi as ca
 from flint import fmpq, fmpq_mat
 
-from pbcgen.control.implicit import scalar_iterations
-from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, Signal, VectorSolve
+from pbcgen.control.law import ControlLaw, Fallback, Precision, Signal
 from pbcgen.control.measure import Measurement, Reading, Unreadable
+from pbcgen.control.solves import choose_solves
+from pbcgen.control.tanh import Tanh, default_tanh
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.plant import Plant, Point
@@ -330,12 +331,16 @@ class Interface:
     ranges: Mapping[str, tuple[Fraction, Fraction]]
 
 
-def control_law(graph: LawGraph, interface: Interface, h: Fraction, precision: Precision) -> ControlLaw:
+def control_law(
+    graph: LawGraph, interface: Interface, h: Fraction, precision: Precision, tanh: Tanh | None = None
+) -> ControlLaw:
     """The discretised law as data for the emitter and the reference step."""
     step = graph.discretise(h)
     N, c, following, output = graph.rounded(step.N, step.c, step.next_state, step.output)
     base = graph.law.base if isinstance(graph.law, Integral) else graph.law
     holds = isinstance(base, PotentialCompensation)
+    prepare = Tape.of([graph.m, graph.xi], [c, N])
+    tanh = tanh or default_tanh(precision)
     return ControlLaw(
         interface.name,
         graph.law.name,
@@ -344,13 +349,14 @@ def control_law(graph: LawGraph, interface: Interface, h: Fraction, precision: P
         interface.inputs,
         interface.outputs,
         tuple(Signal(name, "", _meaning(name)) for name in graph.names),
-        Tape.of([graph.m, graph.xi], [c, N]),
+        prepare,
         Tape.of([graph.m, graph.xi, graph.t], [following, output]),
-        _solves(N, precision),
+        choose_solves(prepare, precision, tanh),
         interface.intervals,
         interface.equilibrium_output,
         Fallback.LAST_OUTPUT if holds else Fallback.EQUILIBRIUM,
         interface.ranges,
+        tanh,
     )
 
 
@@ -363,38 +369,3 @@ _STATE_MEANING = {
 
 def _meaning(state: str) -> str:
     return next(meaning for prefix, meaning in _STATE_MEANING.items() if state.startswith(prefix))
-
-
-#: The block solve stops here at the latest; see the description of the step for its globalisation.
-_BLOCK_ITERATIONS = 40
-
-
-def _solves(N: ca.SX, precision: Precision) -> tuple[ScalarSolve | VectorSolve, ...]:
-    """Group the channels that N couples; an uncoupled channel is a scalar equation."""
-    unit = 2.0**-24 if precision == "float" else 2.0**-53
-    solves: list[ScalarSolve | VectorSolve] = []
-    for block in _blocks(N):
-        if len(block) > 1:
-            solves.append(VectorSolve(tuple(block), _BLOCK_ITERATIONS, 64 * unit))
-            continue
-        entry = N[block[0], block[0]]
-        bound = scalar_iterations(_largest(entry), precision)
-        solves.append(ScalarSolve(block[0], bound.iterations, bound.error))
-    return tuple(solves)
-
-
-def _largest(entry: ca.SX) -> Fraction:
-    """mu when it is a number; else one beyond any that occurs, since the iterations grow with log(mu) only."""
-    if entry.is_constant():
-        return Fraction(float(entry))
-    return Fraction(10) ** 9
-
-
-def _blocks(N: ca.SX) -> list[list[int]]:
-    size = N.size1()
-    label = list(range(size))
-    rows, columns = N.sparsity().get_triplet()
-    for i, j in zip(rows, columns, strict=True):
-        old, new = max(label[i], label[j]), min(label[i], label[j])
-        label = [new if k == old else k for k in label]
-    return [[i for i in range(size) if label[i] == root] for root in sorted(set(label))]

@@ -16,9 +16,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from fractions import Fraction
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pbcgen.symbolic.tape import Tape
+
+if TYPE_CHECKING:
+    from pbcgen.control.tanh import Tanh
 
 Precision = Literal["float", "double"]
 
@@ -33,16 +36,42 @@ class Signal:
 
 
 @dataclass(frozen=True)
+class Start:
+    """A piecewise polynomial start s_0(r) for the root of ``s + mu tanh(s) = r``, r >= 0.
+
+    Attributes:
+        low: the first piece is ``r (low[0] + low[1] r^2 + ...)``; it is the only one if there are no knots.
+        middle: coefficients, from the constant up, of the piece between two knots.
+        knots: where the next piece begins, one knot without a middle piece, two with it; the last piece is ``r - mu``.
+    """
+
+    low: tuple[float, ...]
+    middle: tuple[float, ...] = ()
+    knots: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Taylor:
+    """A start and the order of the Taylor step that follows it; t is off by at most ``error_bound`` for every r."""
+
+    start: Start
+    order: int
+    error_bound: float
+
+
+@dataclass(frozen=True)
 class ScalarSolve:
     """Channel ``index``: ``s + mu tanh(s) = c`` with ``mu = N[index, index] >= 0``.
 
-    Newton's method from ``max(r/(1+mu), r-mu)`` for ``r = abs(c)`` needs ``iterations`` steps for an error of at
-    most ``error_bound`` in s for every c in exact arithmetic.
+    With ``taylor``: one evaluation of tanh, for the mu that N holds as a constant. Otherwise Newton's method from
+    ``max(r/(1+mu), r-mu)`` for ``r = abs(c)``: ``iterations`` steps leave an error of at most ``error_bound`` in s for
+    every c. Both bounds are for exact arithmetic.
     """
 
     index: int
     iterations: int
     error_bound: float
+    taylor: Taylor | None = None
 
 
 @dataclass(frozen=True)
@@ -84,6 +113,7 @@ class ControlLaw:
         equilibrium_output: -kappa, inside ``intervals``; also the initial "last valid output".
         fallback: the output for non-finite inputs.
         ranges: for each input the declared range (lo, hi), where there is one; documentation, not a check.
+        tanh: how the code computes tanh; see :mod:`pbcgen.control.tanh`.
     """
 
     name: str
@@ -100,6 +130,7 @@ class ControlLaw:
     equilibrium_output: tuple[float, ...]
     fallback: Fallback
     ranges: Mapping[str, tuple[Fraction, Fraction]] = field(default_factory=dict)
+    tanh: Tanh = "libm"
 
     @property
     def channels(self) -> int:

@@ -6,19 +6,28 @@ libraries differ (tanh, sin, ...), a few units in the last place.
 
 One step
 --------
-1. A state that is not finite, is beyond STATE_LIMIT, or whose held output left its interval is set to its initial
-   value; the status is then at least STATE_RESET.
+1. A state that is not finite or is beyond STATE_LIMIT is set to its initial value; the status is then at least
+   STATE_RESET.
 2. A measurement that is not finite: the output is the fallback of the law, the state is kept, INVALID_INPUT.
-3. *prepare*: c and N. Unless all are finite and mu >= 0: fallback output, state kept, OUT_OF_RANGE.
-4. *solve*: t = tanh(s), see below.
-5. *update*: the next state and u. Unless |next state| <= STATE_LIMIT and u is finite: fallback output, state kept,
-   OUT_OF_RANGE.
+3. *prepare*: c and N. Unless a computed N is finite and a computed mu >= 0, and c is finite for a block or a channel
+   without Newton or Taylor step: fallback output, state kept, OUT_OF_RANGE.
+4. *solve*: t = tanh(s), see below. Where c was not checked, an infinite or undefined c gives t = NaN, which the next
+   check sees.
+5. *update*: the next state and u. Unless the sum of all their squares is at most STATE_LIMIT^2: fallback output,
+   state kept, OUT_OF_RANGE.
 6. u is clamped to its interval, rounded inward to the precision; by comparisons, so that no bit pattern escapes.
 
-If several statuses apply, the largest is returned.
+If several statuses apply, the largest is returned. A fallback to the last valid output uses the equilibrium output in
+place of a held value that is not in its interval. The C tests first whether the sum of the squares of state and
+measurements is at most STATE_LIMIT^2, and looks for the reason only if it is not: the sum is above that limit, or NaN,
+whenever 1 or 2 applies.
+
+tanh is the math library's or the rational function of :mod:`pbcgen.control.tanh`, as the law says.
 
 Scalar solve: s + mu tanh(s) = c
 --------------------------------
+For a constant mu in float: one evaluation of tanh, see :mod:`pbcgen.control.taylor`. Otherwise:
+
 With r = abs(c) the root is right of s_0 = max(r/(1 + mu), r - mu), where s -> s + mu tanh(s) is concave and increasing:
 Newton's method ``s <- s - ((s - r) + mu t) / (1 + mu (1 - t t))``, t = tanh(s), increases monotonically to it. It makes
 a constant number of steps, tanh is evaluated once more at the end, and the result takes the sign of c. ``(s - r)`` is
@@ -46,11 +55,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, VectorSolve
+from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, Taylor, VectorSolve
 from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
+from pbcgen.control.tanh import fast_tanh
+from pbcgen.control.taylor import start_at, taylor_step
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from pbcgen.control.tanh import Tanh
 
 Array = NDArray[Any]
 
@@ -81,8 +94,9 @@ class ReferenceStep:
         self.low: Array = np.array([low for low, _ in bounds], self.dtype)
         self.high: Array = np.array([high for _, high in bounds], self.dtype)
         self.equilibrium: Array = np.array(equilibrium_output(law), self.dtype)
-        self._algebra = NumpyAlgebra(law.precision)
+        self._algebra = NumpyAlgebra(law.precision, law.tanh)
         self._limit = nearest(STATE_LIMIT[law.precision], law.precision)
+        self._tanh = tanh_of(law)
 
     def __call__(
         self, measurement: Array, xi: Array, last_output: Array | None = None
@@ -113,11 +127,11 @@ class ReferenceStep:
         status = np.zeros(len(m), np.int32)
         corrupted = ~np.all(np.abs(xi) <= self._limit, axis=1)
         if self.law.fallback is Fallback.LAST_OUTPUT:
-            corrupted |= ~np.all((held >= self.low) & (held <= self.high), axis=1)
+            held = np.where((held >= self.low) & (held <= self.high), held, self.equilibrium)
+            held[corrupted] = self.equilibrium
         else:
             held[:] = self.equilibrium
         xi[corrupted] = 0
-        held[corrupted] = self.equilibrium
         _raise_to(status, corrupted, StepStatus.STATE_RESET)
 
         next_xi, u, converged, in_range = self._evaluate(m, xi)
@@ -133,21 +147,24 @@ class ReferenceStep:
         """Prepare, solve and update: (next xi, u, converged, in range)."""
         batch = len(m)
         c, N = self._walk(self.law.prepare, batch, m, xi)
-        in_range = np.all(np.isfinite(c[:, :, 0]), axis=1) & np.all(np.isfinite(N), axis=(1, 2))
+        checked = [i for solve in self.law.solves for i in channels_to_check(solve)]
+        in_range = np.all(np.isfinite(c[:, checked, 0]), axis=1) & np.all(np.isfinite(N), axis=(1, 2))
         t = np.zeros((batch, self.law.channels), self.dtype)
         converged = np.ones(batch, np.bool_)
         for solve in self.law.solves:
             if isinstance(solve, ScalarSolve):
                 mu = N[:, solve.index, solve.index]
                 in_range &= mu >= 0
-                t[:, solve.index] = solve_scalar(mu, c[:, solve.index, 0], solve.iterations)
+                t[:, solve.index] = solve_scalar(mu, c[:, solve.index, 0], solve.iterations, self._tanh, solve.taylor)
             else:
                 rows = np.array(solve.indices)
-                t[:, rows], ok = solve_block(N[:, rows[:, None], rows], c[:, rows, 0], solve)
+                t[:, rows], ok = solve_block(N[:, rows[:, None], rows], c[:, rows, 0], solve, self._tanh)
                 converged &= ok
         next_xi, u = self._walk(self.law.update, batch, m, xi, t)
-        in_range &= np.all(np.abs(next_xi[:, :, 0]) <= self._limit, axis=1)
-        in_range &= np.all(np.isfinite(u[:, :, 0]), axis=1)
+        total = np.zeros(batch, self.dtype)
+        for value in (*next_xi[:, :, 0].T, *u[:, :, 0].T):
+            total = total + value * value
+        in_range &= total <= self._limit * self._limit
         return next_xi[:, :, 0], u[:, :, 0], converged, in_range
 
     def _walk(self, tape: Any, batch: int, *inputs: Array) -> list[Array]:
@@ -183,15 +200,33 @@ def check_solves(law: ControlLaw) -> None:
             raise ValueError(f"N[{row}, {column}] couples channels that are solved separately")
 
 
-def solve_scalar(mu: Array, c: Array, iterations: int) -> Array:
+def channels_to_check(solve: ScalarSolve | VectorSolve) -> tuple[int, ...]:
+    """The channels whose c must be checked before the solve: without a residual nothing carries NaN on."""
+    if isinstance(solve, VectorSolve):
+        return solve.indices
+    return () if solve.taylor or solve.iterations else (solve.index,)
+
+
+def tanh_of(law: ControlLaw) -> Callable[[Array], Array]:
+    """The tanh that the law computes with, on arrays."""
+    return fast_tanh if law.tanh == "fast" else np.tanh
+
+
+def solve_scalar(
+    mu: Array, c: Array, iterations: int, tanh: Callable[[Array], Array] = np.tanh, taylor: Taylor | None = None
+) -> Array:
     """tanh(s) of ``s + mu tanh(s) = c``, elementwise; mu >= 0. See the module's text."""
     one = c.dtype.type(1)
     r = np.abs(c)
-    s = scalar_start(mu, r)
-    t = np.tanh(s)
-    for _ in range(iterations):
-        s = s - ((s - r) + mu * t) / (one + mu * (one - t * t))
-        t = np.tanh(s)
+    if taylor is not None:
+        s = start_at(taylor.start, r, mu)
+        t = taylor_step(tanh(s), s, r, mu, taylor.order)
+    else:
+        s = scalar_start(mu, r)
+        t = tanh(s)
+        for _ in range(iterations):
+            s = s - ((s - r) + mu * t) / (one + mu * (one - t * t))
+            t = tanh(s)
     result: Array = np.where(c < 0, -t, t)
     return result
 
@@ -204,20 +239,22 @@ def scalar_start(mu: Array, r: Array) -> Array:
     return start
 
 
-def solve_block(N: Array, c: Array, solve: VectorSolve) -> tuple[Array, NDArray[np.bool_]]:
+def solve_block(
+    N: Array, c: Array, solve: VectorSolve, tanh: Callable[[Array], Array] = np.tanh
+) -> tuple[Array, NDArray[np.bool_]]:
     """tanh(s) of ``s + N tanh(s) = c`` and whether the residual met its limit. N: (batch, m, m), c: (batch, m)."""
     real = c.dtype.type
     r = np.abs(c)
     s = np.where(c < 0, real(-1), real(1)) * scalar_start(np.abs(np.einsum("kii->ki", N)), r)
     limit = nearest(Fraction(solve.tolerance), _precision_of(c)) * (real(1) + np.max(r, axis=1, initial=0))
-    t, F, norm = _residual(N, c, s)
+    t, F, norm = _residual(N, c, s, tanh)
     active = np.ones(len(c), np.bool_)
     for _ in range(solve.iterations):
         is_last = norm <= limit
         d, regular = _newton_direction(N, t, F)
         active &= regular
         s = np.where(active[:, None], s - _cut(s, d)[:, None] * d, s)
-        t_next, F_next, norm_next = _residual(N, c, s)
+        t_next, F_next, norm_next = _residual(N, c, s, tanh)
         keep = active & (~is_last | (norm_next < norm))
         t[keep], F[keep], norm[keep] = t_next[keep], F_next[keep], norm_next[keep]
         active &= ~is_last
@@ -235,9 +272,9 @@ def _cut(s: Array, d: Array) -> Array:
     return cut
 
 
-def _residual(N: Array, c: Array, s: Array) -> tuple[Array, Array, Array]:
+def _residual(N: Array, c: Array, s: Array, tanh: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
     """Values t = tanh(s), F = (s - c) + N t summed in order, and max|F| (the largest number if F is not finite)."""
-    t = np.tanh(s)
+    t = tanh(s)
     F = s - c
     for j in range(s.shape[1]):
         F = F + N[:, :, j] * t[:, j, None]
@@ -282,9 +319,10 @@ def _raise_to(status: NDArray[np.int32], where: NDArray[np.bool_], level: StepSt
 class NumpyAlgebra:
     """SX operations on NumPy values of one precision. Comparisons and logic give 0 and 1."""
 
-    def __init__(self, precision: Precision) -> None:
+    def __init__(self, precision: Precision, tanh: Tanh = "libm") -> None:
         self._precision = precision
         self._dtype = DTYPES[precision]
+        self._operations = _OPERATIONS | ({"tanh": fast_tanh} if tanh == "fast" else {})
 
     def const(self, value: Fraction) -> Any:
         """The nearest number of the precision; EmitError if it overflows or vanishes."""
@@ -292,7 +330,7 @@ class NumpyAlgebra:
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         """The operation ``name`` of the tape; AttributeError if there is none."""
-        function = _OPERATIONS.get(name)
+        function = self._operations.get(name)
         if function is None:
             raise AttributeError(name)
         dtype = self._dtype

@@ -8,9 +8,10 @@ from fractions import Fraction
 
 import numpy as np
 
-from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, Signal, VectorSolve
+from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, Signal, Taylor, VectorSolve
 from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
-from pbcgen.control.step import check_solves, equilibrium_output
+from pbcgen.control.step import channels_to_check, check_solves, equilibrium_output
+from pbcgen.control.tanh import DENOMINATOR, FAST_ERROR, FAST_ULP, NUMERATOR
 from pbcgen.emit.expressions import Graph, Node, Printer, Statement
 from pbcgen.emit.identifiers import Scope
 from pbcgen.emit.literals import literal
@@ -19,12 +20,14 @@ from pbcgen.emit.program import (
     BlockFunction,
     Body,
     Constants,
+    FastTanh,
     InputMember,
     OutputMember,
     Program,
     ScalarCall,
     ScalarFunction,
     StateMember,
+    TaylorFunction,
 )
 from pbcgen.errors import EmitError
 from pbcgen.symbolic.tape import Matrix
@@ -37,7 +40,7 @@ def program_of(law: ControlLaw, prefix: str) -> Program:
     check_solves(law)
     outputs = _outputs(law)
     members = _Members(_inputs(law), outputs, _states(law, outputs))
-    functions = _SolverFunctions.of(law, prefix)
+    functions = _SolverFunctions.of(law, prefix, _constant_mus(law))
     return Program(
         prefix=prefix,
         constants=constants_of(law.precision),
@@ -45,12 +48,30 @@ def program_of(law: ControlLaw, prefix: str) -> Program:
         inputs=members.inputs,
         outputs=members.outputs,
         states=members.states,
-        state_checks=_state_checks(prefix, members),
+        state_checks=_state_checks(members),
+        read=tuple(text for vector in members.texts() for text in vector),
+        fast_tanh=_fast_tanh(law.precision) if law.tanh == "fast" else None,
+        taylor_functions=tuple(functions.taylor.values()),
         scalar_functions=tuple(functions.scalar.values()),
         block_functions=tuple(functions.block.values()),
         body=_body(law, prefix, members, functions),
         renamed=_renamed(members),
     )
+
+
+def _constant_mus(law: ControlLaw) -> dict[int, str]:
+    """The literal mu of every channel with a Taylor step. Raises ValueError if one is no constant."""
+    graph = Graph()
+    arguments = [[graph.name("")] * size for size in law.prepare.input_sizes]
+    N = law.prepare.walk(graph, arguments)[1].entries
+    mus = {}
+    for solve in law.solves:
+        if isinstance(solve, ScalarSolve) and solve.taylor:
+            node = N.get((solve.index, solve.index))
+            if node is None or node.value is None:
+                raise ValueError(f"channel {solve.index} has a Taylor step, but its mu is no constant")
+            mus[solve.index] = literal(nearest(node.value, law.precision))
+    return mus
 
 
 @dataclass(frozen=True)
@@ -66,12 +87,16 @@ class _Members:
         """The controller states xi."""
         return tuple(member for member in self.states if member.is_memory)
 
+    def texts(self) -> list[list[str]]:
+        """M and xi in C."""
+        return [
+            [f"input->{member.c_name}" for member in self.inputs],
+            [f"state->{member.c_name}" for member in self.memory],
+        ]
+
     def arguments(self, graph: Graph) -> list[list[Node]]:
         """M and xi as the step reads them."""
-        return [
-            [graph.name(f"input->{member.c_name}") for member in self.inputs],
-            [graph.name(f"state->{member.c_name}") for member in self.memory],
-        ]
+        return [[graph.name(text) for text in vector] for vector in self.texts()]
 
 
 def constants_of(precision: Precision) -> Constants:
@@ -87,7 +112,9 @@ def constants_of(precision: Precision) -> Constants:
         half=real("0.5"),
         one=real("1"),
         largest=literal(np.finfo(DTYPES[precision]).max),
+        third=real("1/3"),
         state_limit=literal(nearest(STATE_LIMIT[precision], precision)),
+        square_limit=literal(nearest(STATE_LIMIT[precision] ** 2, precision)),
         erfinv_small=real("0.05"),
         erfinv_slope=real("0.88622692545275801365"),
         erfinv_shift=real("4.3307467508"),
@@ -140,17 +167,21 @@ def _states(law: ControlLaw, outputs: Sequence[OutputMember]) -> tuple[StateMemb
     return (*memory, *held)
 
 
-def _state_checks(prefix: str, members: _Members) -> tuple[str, ...]:
-    """Conditions on ``state`` that every state stored by a step meets."""
-    held = {f"output->{output.c_name}": output for output in members.outputs}
-    checks = []
-    for state in members.states:
-        value = f"state->{state.c_name}"
-        if state.is_memory:
-            checks.append(f"{prefix}_is_bounded({value})")
-        else:
-            checks.append(f"({value} >= {held[state.next].low}) && ({value} <= {held[state.next].high})")
-    return tuple(checks)
+def _state_checks(members: _Members) -> tuple[str, ...]:
+    """The state's numbers that must be bounded."""
+    return tuple(f"state->{state.c_name}" for state in members.memory)
+
+
+def _fast_tanh(precision: Precision) -> FastTanh:
+    def texts(coefficients: Sequence[float]) -> tuple[str, ...]:
+        return tuple(literal(DTYPES[precision](value)) for value in reversed(coefficients))
+
+    return FastTanh(
+        texts(NUMERATOR[precision]),
+        texts(DENOMINATOR[precision]),
+        f"{FAST_ULP[precision]:g}",
+        f"{FAST_ERROR[precision]:g}",
+    )
 
 
 def _renamed(members: _Members) -> tuple[tuple[str, str], ...]:
@@ -166,16 +197,23 @@ def _renamed(members: _Members) -> tuple[tuple[str, str], ...]:
 class _SolverFunctions:
     """The solver functions, each for the solves that can share it."""
 
+    taylor: Mapping[tuple[str, Taylor], TaylorFunction]
     scalar: Mapping[int, ScalarFunction]
     block: Mapping[tuple[int, int, float], BlockFunction]
 
     @staticmethod
-    def of(law: ControlLaw, prefix: str) -> _SolverFunctions:
+    def of(law: ControlLaw, prefix: str, mus: Mapping[int, str]) -> _SolverFunctions:
+        """``mus`` has the literal mu of every channel with a Taylor step."""
+        taylor: dict[tuple[str, Taylor], TaylorFunction] = {}
         scalar: dict[int, ScalarFunction] = {}
         block: dict[tuple[int, int, float], BlockFunction] = {}
         bounds: dict[int, float] = {}
         for solve in law.solves:
-            if isinstance(solve, ScalarSolve):
+            if isinstance(solve, ScalarSolve) and solve.taylor:
+                key = (mus[solve.index], solve.taylor)
+                if key not in taylor:
+                    taylor[key] = _taylor_function(f"{prefix}_solve_{solve.index}", *key)
+            elif isinstance(solve, ScalarSolve):
                 bounds[solve.iterations] = max(bounds.get(solve.iterations, 0.0), solve.error_bound)
             elif _key(solve) not in block:
                 name = f"{prefix}_solve_block{len(block) or ''}"
@@ -185,7 +223,23 @@ class _SolverFunctions:
         for iterations, bound in sorted(bounds.items()):
             name = f"{prefix}_solve" if len(bounds) == 1 else f"{prefix}_solve_in_{iterations}"
             scalar[iterations] = ScalarFunction(name, iterations, f"{bound:.2g}")
-        return _SolverFunctions(scalar, block)
+        return _SolverFunctions(taylor, scalar, block)
+
+
+def _taylor_function(name: str, mu: str, taylor: Taylor) -> TaylorFunction:
+    def texts(values: Sequence[float]) -> tuple[str, ...]:
+        return tuple(literal(np.float32(value)) for value in values)
+
+    start = taylor.start
+    return TaylorFunction(
+        name,
+        mu,
+        texts(start.low[::-1]),
+        texts(start.middle[::-1]),
+        texts(start.knots),
+        taylor.order,
+        f"{taylor.error_bound:.2g}",
+    )
 
 
 def _key(solve: VectorSolve) -> tuple[int, int, float]:
@@ -204,16 +258,22 @@ def _body(law: ControlLaw, prefix: str, members: _Members, functions: _SolverFun
     scalars, blocks = _calls(law, functions, coefficients.texts, t_names)
     return Body(
         prepare=_named_stage(printer, prepare_roots),
-        prepare_checks=(*(f"{prefix}_is_finite(c{i})" for i in range(law.channels)), *coefficients.checks),
+        prepare_checks=(
+            *(f"{prefix}_is_finite(c{i})" for solve in law.solves for i in channels_to_check(solve)),
+            *coefficients.checks,
+        ),
         scalars=scalars,
         blocks=blocks,
         update=_named_stage(printer, update_roots),
-        update_checks=(
-            *(f"{prefix}_is_bounded({member.next})" for member in members.memory),
-            *(f"{prefix}_is_finite({member.next})" for member in members.outputs),
-        ),
-        helpers=printer.helpers | ({"tanh"} if law.channels else set()),
+        results=tuple(update_roots),
+        helpers=printer.helpers | _tanh_functions(law),
     )
+
+
+def _tanh_functions(law: ControlLaw) -> set[str]:
+    """Which of the two tanh functions the solves call."""
+    taylor = [isinstance(solve, ScalarSolve) and solve.taylor is not None for solve in law.solves]
+    return ({"tanh_of_magnitude"} if any(taylor) else set()) | (set() if all(taylor) else {"tanh"})
 
 
 def _update_roots(law: ControlLaw, graph: Graph, members: _Members, t_names: Sequence[str]) -> dict[str, Node]:
@@ -302,10 +362,15 @@ def _calls(
 ) -> tuple[tuple[ScalarCall, ...], tuple[BlockCall, ...]]:
     scalars: list[ScalarCall] = []
     blocks: list[BlockCall] = []
+    arguments: tuple[str, ...]
     for solve in law.solves:
         if isinstance(solve, ScalarSolve):
             i = solve.index
-            scalars.append(ScalarCall(t_names[i], functions.scalar[solve.iterations].name, coefficients[i, i], f"c{i}"))
+            if solve.taylor:
+                name, arguments = functions.taylor[coefficients[i, i], solve.taylor].name, (f"c{i}",)
+            else:
+                name, arguments = functions.scalar[solve.iterations].name, (coefficients[i, i], f"c{i}")
+            scalars.append(ScalarCall(t_names[i], name, arguments))
             continue
         rows, k = solve.indices, len(blocks)
         blocks.append(

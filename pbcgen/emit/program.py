@@ -21,8 +21,10 @@ class Constants:
     zero: str
     half: str
     one: str
+    third: str
     largest: str
     state_limit: str
+    square_limit: str
     erfinv_small: str
     erfinv_slope: str
     erfinv_shift: str
@@ -74,6 +76,29 @@ class ScalarFunction:
 
 
 @dataclass(frozen=True)
+class TaylorFunction:
+    """The C function of scalar solves for one mu: a start and one Taylor step. Coefficients from the highest down."""
+
+    name: str
+    mu: str
+    low: tuple[str, ...]
+    middle: tuple[str, ...]
+    knots: tuple[str, ...]
+    order: int
+    error_bound: str
+
+
+@dataclass(frozen=True)
+class FastTanh:
+    """Coefficients of the rational tanh from the highest down, without the constants; its error."""
+
+    numerator: tuple[str, ...]
+    denominator: tuple[str, ...]
+    ulp: str
+    error: str
+
+
+@dataclass(frozen=True)
 class BlockFunction:
     """The C function of block solves of this size."""
 
@@ -85,12 +110,11 @@ class BlockFunction:
 
 @dataclass(frozen=True)
 class ScalarCall:
-    """``t = function(mu, c)``."""
+    """``t = function(arguments)``: mu and c, or c alone where the function knows mu."""
 
     t: str
     function: str
-    mu: str
-    c: str
+    arguments: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -108,20 +132,23 @@ class BlockCall:
 
 @dataclass(frozen=True)
 class Body:
-    """The middle of the step: prepare, solve, update. The checks are C conditions that must hold."""
+    """The middle of the step: prepare, solve, update.
+
+    ``prepare_checks`` are C conditions that must hold; ``results`` are the variables that must be finite in the end.
+    """
 
     prepare: tuple[Statement, ...]
     prepare_checks: tuple[str, ...]
     scalars: tuple[ScalarCall, ...]
     blocks: tuple[BlockCall, ...]
     update: tuple[Statement, ...]
-    update_checks: tuple[str, ...]
+    results: tuple[str, ...]
     helpers: frozenset[str]
 
 
 @dataclass(frozen=True)
 class Program:
-    """All C texts of one package."""
+    """All C texts of one package. ``read`` are the numbers that a step reads: states and inputs."""
 
     prefix: str
     constants: Constants
@@ -130,6 +157,9 @@ class Program:
     outputs: tuple[OutputMember, ...]
     states: tuple[StateMember, ...]
     state_checks: tuple[str, ...]
+    read: tuple[str, ...]
+    fast_tanh: FastTanh | None
+    taylor_functions: tuple[TaylorFunction, ...]
     scalar_functions: tuple[ScalarFunction, ...]
     block_functions: tuple[BlockFunction, ...]
     body: Body

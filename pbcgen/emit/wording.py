@@ -92,6 +92,40 @@ def value(literal: str) -> str:
     return literal.removesuffix("f")
 
 
+def horner(coefficients: Sequence[str], variable: str, one: str) -> str:
+    """The polynomial with these coefficients, from the highest down to that of the variable, and the constant one.
+
+    >>> horner(("0.5f", "-2.0f"), "y", "1.0f")
+    '(0.5f * y - 2.0f) * y + 1.0f'
+    """
+    return horner_in((*coefficients, one), variable, outer=True)
+
+
+def horner_in(coefficients: Sequence[str], variable: str, *, outer: bool = False) -> str:
+    """The polynomial with these coefficients, from the highest down; as a factor unless ``outer``.
+
+    >>> horner_in(("1.0f", "-2.0f", "3.0f"), "y"), horner_in(("-2.0f",), "y")
+    ('((1.0f * y - 2.0f) * y + 3.0f)', '-2.0f')
+    """
+    text = coefficients[0]
+    for k, coefficient in enumerate(coefficients[1:]):
+        factor = f"({text})" if k else text
+        sign = "-" if coefficient.startswith("-") else "+"
+        text = f"{factor} * {variable} {sign} {coefficient.removeprefix('-')}"
+    return text if outer or len(coefficients) == 1 else f"({text})"
+
+
+def sum_of_squares(values: Sequence[str], indent: str) -> str:
+    """``((a * a) + (b * b))``, broken into lines of four terms.
+
+    >>> sum_of_squares(("a", "b"), "")
+    '((a * a) + (b * b))'
+    """
+    terms = [f"({v} * {v})" for v in values]
+    lines = [" + ".join(terms[k : k + 4]) for k in range(0, len(terms), 4)]
+    return "(" + f"\n{indent}+ ".join(lines) + ")"
+
+
 def interval(bounds: tuple[Fraction, Fraction] | None, unit: str = "") -> str:
     """``[lo, hi] unit``, empty for no bounds."""
     if bounds is None:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from pbcgen.control.law import ControlLaw, ScalarSolve, VectorSolve
 from pbcgen.control.rounding import DTYPES
-from pbcgen.control.step import NumpyAlgebra, solve_block, solve_scalar
+from pbcgen.control.step import NumpyAlgebra, solve_block, solve_scalar, tanh_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -102,20 +102,21 @@ class Allowance:
 
     def _solve(self, m: NDArray[Any], xi: NDArray[Any]) -> tuple[Array, Array, Array]:
         """Return c (N, ns), N (N, ns, ns) and t (N, ns) as the reference step finds them, in double."""
-        walked = self._law.prepare.walk(NumpyAlgebra(self._law.precision), [list(m.T), list(xi.T)])
+        walked = self._law.prepare.walk(NumpyAlgebra(self._law.precision, self._law.tanh), [list(m.T), list(xi.T)])
         arrays = [np.zeros((len(m), *matrix.shape), self._dtype) for matrix in walked]
         for array, matrix in zip(arrays, walked, strict=True):
             for (row, column), value in matrix.entries.items():
                 array[:, row, column] = value
         c, N = arrays[0][:, :, 0], arrays[1]
         t = np.zeros_like(c)
+        tanh = tanh_of(self._law)
         for solve in self._law.solves:
             if isinstance(solve, ScalarSolve):
                 k = solve.index
-                t[:, k] = solve_scalar(N[:, k, k], c[:, k], solve.iterations)
+                t[:, k] = solve_scalar(N[:, k, k], c[:, k], solve.iterations, tanh, solve.taylor)
             else:
                 rows = np.array(solve.indices)
-                t[:, rows] = solve_block(N[:, rows[:, None], rows], c[:, rows], solve)[0]
+                t[:, rows] = solve_block(N[:, rows[:, None], rows], c[:, rows], solve, tanh)[0]
         return c.astype(float), N.astype(float), t.astype(float)
 
 

@@ -8,6 +8,7 @@ from fractions import Fraction
 import casadi as ca
 
 from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, Signal, VectorSolve
+from pbcgen.control.solves import with_tanh
 from pbcgen.emit import Provenance
 from pbcgen.symbolic.tape import Tape
 
@@ -117,3 +118,26 @@ def stateless(precision: Precision = "double") -> ControlLaw:
         equilibrium_output=(1.0,),
         fallback=Fallback.EQUILIBRIUM,
     )
+
+
+def constant_channels(precision: Precision = "float") -> ControlLaw:
+    """One channel for each form of the solve with one tanh, and no function but tanh: no two machines differ."""
+    mus = [1.1e-3, 0.0132, 0.136, 3.0, 90.75]
+    size = len(mus)
+    m, xi, t = ca.SX.sym("m", size), ca.SX.sym("xi", size), ca.SX.sym("t", size)
+    law = ControlLaw(
+        name="constant channels",
+        law="dynamic-extension",
+        precision=precision,
+        sample_period=Fraction(1, 1000),
+        inputs=tuple(Signal(f"q{i}") for i in range(size)),
+        outputs=tuple(Signal(f"u{i}") for i in range(size)),
+        states=tuple(Signal(f"x{i}") for i in range(size)),
+        prepare=Tape.of([m, xi], [10 * m + xi, ca.diag(ca.DM(mus))]),
+        update=Tape.of([m, xi, t], [xi / 2 - t, -2 * t + ca.tanh(xi) / 4]),
+        solves=(),
+        intervals=((Fraction(-2), Fraction(2)),) * size,
+        equilibrium_output=(0.0,) * size,
+        fallback=Fallback.EQUILIBRIUM,
+    )
+    return with_tanh(law, "fast")

@@ -1,0 +1,77 @@
+"""How each channel of the loop equation ``s + N tanh(s) = c`` is solved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, Final
+
+from pbcgen.control.implicit import scalar_iterations
+from pbcgen.control.law import ControlLaw, Precision, ScalarSolve, VectorSolve
+from pbcgen.control.rounding import nearest
+from pbcgen.control.taylor import taylor_solve
+
+if TYPE_CHECKING:
+    from pbcgen.control.tanh import Tanh
+    from pbcgen.symbolic.tape import Tape
+
+#: The block solve stops here at the latest; see the description of the step for its globalisation.
+BLOCK_ITERATIONS: Final = 40
+
+#: Beyond any mu that occurs; the Newton iterations grow with log(mu) only.
+_UNKNOWN: Final = Fraction(10) ** 9
+
+
+def with_tanh(law: ControlLaw, tanh: Tanh) -> ControlLaw:
+    """The same law with another tanh, and the solves that suit it."""
+    return replace(law, tanh=tanh, solves=choose_solves(law.prepare, law.precision, tanh))
+
+
+def choose_solves(prepare: Tape, precision: Precision, tanh: Tanh) -> tuple[ScalarSolve | VectorSolve, ...]:
+    """The solves for the N of a law's prepare tape.
+
+    Channels that N couples are solved together. An uncoupled channel whose mu is a constant needs one evaluation of
+    the fast tanh in float; every other one is solved by Newton's method.
+    """
+    entries = prepare.walk(_Constants(), [[None] * size for size in prepare.input_sizes])[1].entries
+    unit = 2.0**-24 if precision == "float" else 2.0**-53
+    solves: list[ScalarSolve | VectorSolve] = []
+    for block in _blocks(prepare.outputs[0].shape[0], list(entries)):
+        if len(block) > 1:
+            solves.append(VectorSolve(tuple(block), BLOCK_ITERATIONS, 64 * unit))
+            continue
+        mu = entries.get((block[0], block[0]), Fraction(0))
+        solves.append(_scalar(block[0], mu, precision, tanh))
+    return tuple(solves)
+
+
+def _scalar(index: int, mu: Fraction | None, precision: Precision, tanh: Tanh) -> ScalarSolve:
+    if mu is not None and mu > 0 and precision == "float" and tanh == "fast":
+        rounded = Fraction(float(nearest(mu, precision, f"the coefficient N[{index}, {index}]")))
+        taylor = taylor_solve(rounded)
+        if taylor is not None:
+            return ScalarSolve(index, 0, taylor.error_bound, taylor)
+    bound = scalar_iterations(_UNKNOWN if mu is None else mu, precision)
+    return ScalarSolve(index, bound.iterations, bound.error)
+
+
+def _blocks(size: int, entries: list[tuple[int, int]]) -> list[list[int]]:
+    """The connected groups of channels."""
+    label = list(range(size))
+    for i, j in entries:
+        old, new = max(label[i], label[j]), min(label[i], label[j])
+        label = [new if k == old else k for k in label]
+    return [[i for i in range(size) if label[i] == root] for root in sorted(set(label))]
+
+
+class _Constants:
+    """Tape algebra that knows literals only: a Fraction, or None for everything that is computed."""
+
+    def const(self, value: Fraction) -> Fraction:
+        return value
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return lambda *operands: operands[0] if name == "assign" else None
