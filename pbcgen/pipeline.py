@@ -21,12 +21,14 @@ from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.law import ControlLaw
 from pbcgen.control.sampled import Sampling
 from pbcgen.emit import Package, Provenance, render
-from pbcgen.errors import NotProved
+from pbcgen.control.stability import LYAPUNOV
+from pbcgen.errors import ModelError, NotProved
 from pbcgen.models.design import Design
 from pbcgen.models.identity import model_hash
 from pbcgen.proof.claim import EMISSION_CLAIMS, Claim, Status
 
 if TYPE_CHECKING:
+    from pbcgen.control.attraction import Region
     from pbcgen.run.simulate import Trajectory
     from pbcgen.run.validate import Validation
 
@@ -124,6 +126,25 @@ def check(design: Design, progress: Progress = None, sampling: Sampling | None =
     )
 
 
+def region(report: Report, seconds: float = 40.0) -> Region:
+    """The largest level set of the Lyapunov function that is certified to be attracted to x* within the time.
+
+    Raises ModelError when the derivation stopped before there was a closed loop.
+    """
+    from pbcgen.control.attraction import region_of_attraction
+
+    situation = report.derivation.situation
+    if situation is None:
+        raise ModelError(f"`{report.design.name}` has no closed loop to find a region for: see `pbcgen check`")
+    claims = {c.claim: c for c in report.claims}
+    return region_of_attraction(
+        situation,
+        claims["stable"].method == LYAPUNOV,
+        claims["globally-asymptotically-stable"].status is Status.PROVED,
+        seconds,
+    )
+
+
 def package(report: Report, *, prefix: str | None = None, allow: Sequence[str] = ()) -> Package:
     """The C package of a checked design. Raises NotProved when a claim that it needs is open."""
     blocking = report.blocking(allow)
@@ -140,14 +161,10 @@ def package(report: Report, *, prefix: str | None = None, allow: Sequence[str] =
 
 
 def certificate(report: Report) -> str:
-    """The claims with what they rest on, as canonical JSON tied to the model by its hash."""
-    document = {
-        "model_hash": report.model_hash,
-        "design": report.design.name,
-        "law": report.design.law.name,
-        "claims": [{**c.as_json(), "certificate": dict(c.certificate)} for c in report.claims],
-    }
-    return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=True) + "\n"
+    """What `pbcgen verify` needs to check every verdict again, as JSON; the same for the same design."""
+    from pbcgen.control.certificate import certificate as document
+
+    return json.dumps(document(report.derivation), indent=1, sort_keys=True, ensure_ascii=True) + "\n"
 
 
 def _refusal(report: Report, blocking: Sequence[Claim]) -> str:

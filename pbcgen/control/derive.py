@@ -64,6 +64,7 @@ class Derivation:
         gamma, eta: expressions, or None.
         structure: the power structure that was found, or None.
         bounds: of Assumption 3, or None.
+        situation: what the stability claims rest on, or None when they were not reached.
     """
 
     design: Design
@@ -80,6 +81,7 @@ class Derivation:
     eta: ca.SX | None
     structure: PowerStructure | None = None
     bounds: NaturalDampingBounds | None = None
+    situation: Situation | None = None
 
     def control_law(self, h: Fraction, precision: Precision) -> ControlLaw | None:
         """The law discretised with sample period h, or None when there is no law to discretise."""
@@ -176,6 +178,7 @@ def derive(design: Design, progress: Progress = None, sampling: Sampling | None 
         eta,
         storage.structure,
         bounds,
+        at_target.situation if at_target else None,
     )
 
 
@@ -265,6 +268,7 @@ class _AtTarget:
         self.sampling: Sampling | None = None
         self.graph: LawGraph | None = None
         self.interface: Interface | None = None
+        self.situation: Situation | None = None
 
     def decide(self, stages: _Stages) -> dict[str, Any]:
         """Add the claims at x* and return the derived numbers."""
@@ -293,8 +297,9 @@ class _AtTarget:
             return numbers
         self.graph = build(self.law, measurement, self.point, read)
         loop = ClosedLoopSlope.of(self.plant, self.point, self.graph)
+        situation = self.situation = self._situation(loop, stages)
         verdicts: StabilityVerdicts = stages.run(
-            "stability", lambda: stability(self._situation(loop, stages), self.design.sample_period, self.sampling)
+            "stability", lambda: stability(situation, self.design.sample_period, self.sampling)
         )
         stages.add(*verdicts.claims)
         if intervals is not None and all(lo < hi for lo, hi in intervals):

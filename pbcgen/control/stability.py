@@ -13,6 +13,8 @@ from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.spectrum import Stability, hurwitz
 from pbcgen.symbolic.real import approximate
 
+#: The method of `stable` when the premises of Prop. pro1, pro2 or pro4 are proved.
+LYAPUNOV = "Lyapunov function"
 _LINEARISATION = "linearisation: characteristic polynomial and Routh array in exact or ball arithmetic"
 
 
@@ -60,7 +62,7 @@ def _certificate(verdict: Stability) -> dict[str, object]:
 
 def _stable(continuous: Stability, by_lyapunov: bool, premises: Sequence[str], missing: Sequence[str]) -> Claim:
     if by_lyapunov:
-        return Claim("stable", Status.PROVED, "near x*", "Lyapunov function", "follows from " + ", ".join(premises))
+        return Claim("stable", Status.PROVED, "near x*", LYAPUNOV, "follows from " + ", ".join(premises))
     if continuous.status is Status.PROVED:
         evidence = f"spectral abscissa {continuous.extreme:.6g}; the Lyapunov route is {_why_not(missing)}"
         return Claim("stable", Status.PROVED, "near x*", _LINEARISATION, evidence, certificate=_certificate(continuous))

@@ -1,0 +1,64 @@
+"""``pbcgen region``: from which states the closed loop certainly settles at x*."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pbcgen.cli import options
+from pbcgen.cli.outcome import Outcome
+from pbcgen.cli.terminal import progress
+from pbcgen.errors import NotProved
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from pbcgen.control.attraction import Region
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the command line."""
+
+    @app.command("region")
+    def command(
+        model: options.Model,
+        seconds: Annotated[float, typer.Option(help="When to stop looking for a larger region.", min=1.0)] = 40.0,
+        json: options.Json = False,
+    ) -> Outcome:
+        """Certify a region of attraction: a level set of the Lyapunov function."""
+        return run(model, seconds=seconds, json=json)
+
+
+def run(model: str, *, seconds: float = 40.0, json: bool = False) -> Outcome:
+    """Find a region for a model. Exit code 2 when none was certified.
+
+    Raises ModelError for a model that is not right, or without a closed loop.
+    """
+    from pbcgen import pipeline
+    from pbcgen.models.loader import load
+    from pbcgen.proof.claim import Status
+
+    with progress("load") as tell:
+        report = pipeline.check(load(model), progress=tell)
+        tell("region of attraction")
+        found = pipeline.region(report, seconds)
+    document = {"design": report.design.name, "region_of_attraction": found.as_json()}
+    return Outcome(
+        show=lambda console: _show(console, str(report.design.name), found),
+        document=document if json else None,
+        exit_code=0 if found.status is Status.PROVED else NotProved.exit_code,
+    )
+
+
+def _show(console: Console, name: str, found: Region) -> None:
+    console.print(f"{name}: region of attraction {found.status}")
+    console.print(found.evidence, highlight=False)
+    if found.box:
+        console.print()
+        for state, (lo, hi) in found.box.items():
+            console.print(f"  {state} in [{lo:.6g}, {hi:.6g}]", highlight=False)
+        console.print()
+        console.print(
+            "Every state of this box whose height V - V(x*) is within the level settles at x*.", highlight=False
+        )
