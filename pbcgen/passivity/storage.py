@@ -1,22 +1,33 @@
-"""Assumption 1: the storage does not grow by itself, ``grad S^T f <= 0`` (pascond)."""
+"""Assumption 1: the storage does not grow by itself, ``grad S^T f <= 0`` (pascond).
+
+In this order: by the power structure, by exact algebra, a search for a counterexample, sums of squares, and on the box
+that the system states by branch and bound. A counterexample outside the box does not count.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import casadi as ca
-import numpy as np
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.plant import Plant
-from pbcgen.passivity.structure import PowerStructure, StructureProof, power_structure
+from pbcgen.passivity.region import Region, search, undefined
+from pbcgen.passivity.structure import PowerStructure, StructureProof, power_structure, prove
+from pbcgen.proof.branch import Budget, Formula, nonnegative_on_box, zero_set
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.nonnegative import nonnegative
-from pbcgen.symbolic.real import BITS, Real, precision, rational, sign, text
+from pbcgen.proof.nonnegative import Prover, nonnegative
+from pbcgen.proof.refute import Search
+from pbcgen.proof.sos import squares_tried, sum_of_squares
+from pbcgen.symbolic.field import Quotient
+from pbcgen.symbolic.real import rational, text
 
-#: Random points at which a counterexample is looked for.
-_SAMPLES = 4000
+#: Boxes of the branch and bound over everything that is tried.
+_BOXES = 12_000
+#: Longer powers are not taken to semidefinite programming and branching.
+_MOST_TERMS = 400
 
 
 @dataclass(frozen=True)
@@ -28,11 +39,13 @@ class Storage:
         structure: f and grad S satisfy its identity; a source of candidates for gamma.
         by_structure: whether its dissipation B is proved nonnegative for every v, not only for v = grad S (or f).
             Assumption 1 may hold without that; conclusions about u != 0 may not be drawn from B then.
+        region: where the claim holds when PROVED; None is the whole space.
     """
 
     claim: Claim
     structure: PowerStructure | None
     by_structure: bool = False
+    region: Region | None = None
 
     @property
     def proved(self) -> bool:
@@ -43,60 +56,162 @@ class Storage:
 def assumption_1(plant: Plant) -> Storage:
     """Prove, refute or leave open that the storage is nonincreasing for u = 0."""
     found = power_structure(plant) if plant.gradient_is_exact else None
-    if found is not None and found[1].complete:
-        return Storage(_by_structure(found[0]), found[0], by_structure=True)
     structure = found[0] if found else None
-    if _directly(plant):
-        claim = Claim(
-            "assumption-1", Status.PROVED, "all x", "exact algebra", "-grad S^T f is a sum of terms of known sign"
-        )
-        return Storage(claim, structure)
-    return Storage(_refute(plant, found[1] if found else None), structure)
+    whole = Region.whole(plant)
+    if found is not None and found[1].complete:
+        return _where_defined(plant, Storage(_by_structure(found[0], whole), found[0], by_structure=True))
+    power = _power(plant)
+    if power is not None and nonnegative(-power):
+        evidence = "-grad S^T f is a sum of terms of known sign"
+        return _where_defined(plant, Storage(_proved(whole, "exact algebra", evidence), structure))
+    stated = Region.stated(plant)
+    counterexample = search(plant, stated, -_rate(plant), _scale(plant))
+    if counterexample.point is not None:
+        return Storage(_refuted(plant, stated, counterexample), structure)
+    for region in dict.fromkeys((whole, stated)):
+        for claim in _attempts(plant, region, structure, power):
+            storage = Storage(claim, structure, region=None if region.is_whole else region)
+            return _where_defined(plant, storage)
+    return Storage(_open(stated, counterexample, found[1] if found else None), structure)
 
 
-def _by_structure(structure: PowerStructure) -> Claim:
+def _rate(plant: Plant) -> ca.SX:
+    """``grad S^T f`` with the derivative of S itself."""
+    return ca.dot(ca.gradient(plant.system.S, plant.system.x), plant.system.f)
+
+
+def _scale(plant: Plant) -> ca.SX:
+    """The size of the two factors of the rate, by which a margin is judged."""
+    return ca.norm_2(ca.gradient(plant.system.S, plant.system.x)) * ca.norm_2(plant.system.f)
+
+
+def _power(plant: Plant) -> Quotient | None:
+    """``grad S^T f`` as an exact function, or None when it is not analytic."""
+    try:
+        field, (value,) = plant.exact(ca.dot(plant.gradient, plant.system.f))
+    except (UnsupportedOperation, ZeroDivisionError):
+        return None
+    return value.scalar(field.const(0))
+
+
+def _attempts(
+    plant: Plant, region: Region, structure: PowerStructure | None, power: Quotient | None
+) -> Iterator[Claim]:
+    """Claims that the expensive provers reach on a region, strongest first."""
+    if power is not None and len(power.numerator) <= _MOST_TERMS:
+        squares = sum_of_squares(-power, dict(enumerate(region.bounds)))
+        if squares is not None:
+            yield _proved(region, "sum of squares, found by semidefinite programming and checked exactly", squares)
+    if region.is_whole:
+        return
+    for share, attempt in ((2, _on_box), (4, _by_exact_function), (4, _by_matrix)):
+        budget = Budget(_BOXES // share)
+        if attempt(plant, region, structure, power, budget):
+            yield _branched(region, budget)
+
+
+def _by_exact_function(
+    plant: Plant, region: Region, structure: PowerStructure | None, power: Quotient | None, budget: Budget
+) -> bool:
+    """The power as an exact function, taken apart and branched on."""
+    del plant, structure
+    return power is not None and len(power.numerator) <= _MOST_TERMS and region.prover(budget).nonnegative(-power)
+
+
+def _by_matrix(
+    plant: Plant, region: Region, structure: PowerStructure | None, power: Quotient | None, budget: Budget
+) -> bool:
+    """The dissipation matrix of the power structure, semidefinite on the box."""
+    del power
+    return structure is not None and prove(plant, structure, region.prover(budget)).complete
+
+
+def _on_box(
+    plant: Plant, region: Region, structure: PowerStructure | None, power: Quotient | None, budget: Budget
+) -> bool:
+    """Branch and bound on the formula as it was written: tighter than its expansion, and it need not be analytic."""
+    del structure, power
+    box = [(lo, hi) for lo, hi in region.bounds if lo is not None and hi is not None]
+    if len(box) < plant.system.n:
+        return False
+    values = tuple(plant.values[name] for name in plant.parameter_names)
+    formula = Formula(-_rate(plant), plant.system.x, plant.parameter_symbols, values)
+    zeros = zero_set(formula, plant.system.state_names, [Fraction(0)] * plant.system.n)
+    return nonnegative_on_box(formula, tuple(box), budget, zeros).status is Status.PROVED
+
+
+# --- verdicts ----------------------------------------------------------------------------------------------------
+
+
+def _proved(region: Region, method: str, evidence: str, budget: Budget | None = None) -> Claim:
+    certificate = {} if region.is_whole else {"box": region.text}
+    if budget is not None and budget.used:
+        certificate["boxes"] = str(budget.used)
+        evidence += f"; {budget.used} boxes"
+    return Claim("assumption-1", Status.PROVED, region.text, method, evidence, certificate=certificate)
+
+
+def _branched(region: Region, budget: Budget) -> Claim:
+    return _proved(region, "branch and bound in ball arithmetic", "-grad S^T f >= 0 on the stated box", budget)
+
+
+def _by_structure(structure: PowerStructure, region: Region) -> Claim:
     terms = "sym F <= 0" if structure.form == "F" else "sym A <= 0"
     friction = ", remainder rho^T grad S >= 0" if structure.remainder.nnz() else ""
+    return _proved(region, f"structure: {terms}{friction}", structure.origin)
+
+
+def _where_defined(plant: Plant, storage: Storage) -> Storage:
+    """The verdict with a smaller domain when the formulas are not proved to be defined on all of it."""
+    region = storage.region or Region.whole(plant)
+    if not _conditions(plant, region.prover(Budget(_BOXES // 4))):
+        return storage
+    stated = Region.stated(plant)
+    claim = storage.claim
+    if region.is_whole and not stated.is_whole and not _conditions(plant, stated.prover(Budget(_BOXES // 4))):
+        return replace(storage, claim=replace(claim, domain=stated.text), region=stated)
+    return replace(storage, claim=replace(claim, domain=f"{claim.domain} where the model is defined"))
+
+
+def _conditions(plant: Plant, prover: Prover) -> list[str]:
+    """What is not proved about the formulas being defined; M(q) > 0 of mechanical systems is a premise of theirs."""
+    system = plant.system
+    try:
+        field, _ = plant.exact(system.g if system.mechanical is not None else ca.vertcat(system.f, system.S))
+    except (UnsupportedOperation, ZeroDivisionError):
+        return []
+    return undefined(field, prover, system.n)
+
+
+def _refuted(plant: Plant, region: Region, search: Search) -> Claim:
+    """The state where the storage certainly grows."""
+    assert search.point is not None
+    assert search.value is not None
+    names = plant.system.state_names
+    point = {name: text(rational(v), 17) for name, v in zip(names, search.point, strict=True)}
+    growth = -search.value
     return Claim(
         "assumption-1",
-        Status.PROVED,
-        "all x",
-        f"structure: {terms}{friction}",
-        structure.origin,
+        Status.REFUTED,
+        region.text,
+        "ball arithmetic at a rational point",
+        f"grad S^T f = {text(growth, 6)} > 0: the storage grows without input",
+        "check the signs of the dissipation, or restrict the domain",
+        {"x": point, "grad S^T f": text(growth, 9)},
     )
 
 
-def _directly(plant: Plant) -> bool:
-    power = ca.dot(plant.gradient, plant.system.f)
-    try:
-        field, (value,) = plant.exact(power)
-    except (UnsupportedOperation, ZeroDivisionError):
-        return False
-    return nonnegative(-value.scalar(field.const(0)))
-
-
-def _refute(plant: Plant, proof: StructureProof | None) -> Claim:
-    """Look for a state where the storage grows, and confirm it in ball arithmetic."""
-    power = ca.dot(ca.gradient(plant.system.S, plant.system.x), plant.system.f)
-    function = plant.numeric(power)
-    generator = np.random.default_rng(0)
-    worst, where = -np.inf, None
-    points = sample_points(plant, generator, _SAMPLES)
-    values = np.array(function.map(len(points))(points.T, np.zeros((plant.system.m, len(points))))).ravel()
-    values = np.where(np.isfinite(values), values, -np.inf)
-    best = int(np.argmax(values))
-    worst, where = float(values[best]), points[best]
-    if worst > 0:
-        confirmed = _confirm(plant, power, where)
-        if confirmed is not None:
-            return confirmed
+def _open(region: Region, search: Search, proof: StructureProof | None) -> Claim:
+    hint = "write S and f so that f = F grad S with sym F <= 0, or check the signs of the dissipation"
+    if region.is_whole:
+        hint += "; a bounded domain would allow branch and bound"
     return Claim(
         "assumption-1",
         Status.UNDECIDED,
-        "all x",
-        f"exact algebra; {_SAMPLES} samples with seed 0",
-        f"no proof of grad S^T f <= 0; largest sampled value {worst:.3g}" + _what_failed(proof),
-        "write S and f so that f = F grad S with sym F <= 0, or check the signs of the dissipation",
+        region.text,
+        f"exact algebra{squares_tried()}{'' if region.is_whole else ', branch and bound'}; search for a counterexample",
+        f"no proof of grad S^T f <= 0; {search.summary}" + _what_failed(proof),
+        hint,
     )
 
 
@@ -104,36 +219,3 @@ def _what_failed(proof: StructureProof | None) -> str:
     if proof is None:
         return "; no F with f = F grad S was found"
     return "; f = F grad S, but sym F <= 0 was not proved" if not proof.dissipation else "; the remainder has no sign"
-
-
-def sample_points(plant: Plant, generator: np.random.Generator, count: int) -> np.ndarray:
-    """States in the domain, on scales from 1e-3 to 10 where it is unbounded; count x n."""
-    n = plant.system.n
-    points = generator.normal(size=(count, n)) * 10.0 ** generator.uniform(-3, 1, size=(count, 1))
-    for k, name in enumerate(plant.system.state_names):
-        lo, hi = plant.system.domain.get(name, (None, None))
-        if lo is not None and hi is not None:
-            points[:, k] = generator.uniform(float(lo), float(hi), count)
-        elif lo is not None:
-            points[:, k] = float(lo) + np.abs(points[:, k])
-        elif hi is not None:
-            points[:, k] = float(hi) - np.abs(points[:, k])
-    return points
-
-
-def _confirm(plant: Plant, power: ca.SX, where: np.ndarray) -> Claim | None:
-    x: list[Real] = [rational(Fraction(float(v))) for v in where]
-    with precision(BITS):
-        value = plant.walk(plant.tape(power), x, [rational(0)] * plant.system.m)[0][0][0]
-    if sign(value) != 1:
-        return None
-    point = dict(zip(plant.system.state_names, [text(v, 17) for v in x], strict=True))
-    return Claim(
-        "assumption-1",
-        Status.REFUTED,
-        "all x",
-        "ball arithmetic at a rational point",
-        f"grad S^T f = {text(value, 6)} > 0: the storage grows without input",
-        "check the signs of the dissipation, or restrict the domain",
-        {"x": point, "grad S^T f": text(value, 9)},
-    )

@@ -17,7 +17,7 @@ import casadi as ca
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.factor import Factor, find_factor, refine_symbolically
 from pbcgen.passivity.plant import Plant, dot
-from pbcgen.proof.nonnegative import nonnegative, semidefinite
+from pbcgen.proof.nonnegative import Everywhere, Prover, semidefinite
 from pbcgen.symbolic.field import Field, Quotient
 
 Matrix = list[list[Quotient]]
@@ -121,8 +121,12 @@ class StructureProof:
         return self.identity and self.dissipation and self.remainder
 
 
-def prove(plant: Plant, structure: PowerStructure) -> StructureProof:
-    """Check ``f = F grad S - rho`` (or grad S = A f), ``B >= 0`` and ``rho^T grad S >= 0`` as exact functions."""
+def prove(plant: Plant, structure: PowerStructure, prover: Prover | None = None) -> StructureProof:
+    """Check ``f = F grad S - rho`` (or grad S = A f), ``B >= 0`` and ``rho^T grad S >= 0`` as exact functions.
+
+    The signs are those that ``prover`` proves, by exact algebra on the whole space if it is not given.
+    """
+    prover = prover or Everywhere()
     try:
         field, (f, e, matrix, remainder, dissipation) = plant.exact(
             plant.system.f, plant.gradient, structure.matrix, structure.remainder, structure.dissipation()
@@ -137,7 +141,10 @@ def prove(plant: Plant, structure: PowerStructure) -> StructureProof:
         (left[i] - dot(rows[i], right, zero) + (rho[i] if structure.form == "F" else zero)).is_zero()
         for i in range(len(left))
     )
-    return StructureProof(identity, semidefinite(dissipation.dense(zero)), nonnegative(dot(rho, gradient, zero)))
+    if not identity:
+        return StructureProof(False, False, False)
+    sign = semidefinite(dissipation.dense(zero), prover=prover)
+    return StructureProof(True, sign, prover.nonnegative(dot(rho, gradient, zero)))
 
 
 def power_structure(plant: Plant) -> tuple[PowerStructure, StructureProof] | None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from decimal import Decimal
 from fractions import Fraction
 from typing import Any
 
@@ -172,19 +173,40 @@ def _confirmed(seeker: _Seeker) -> Search:
             if value >= 0:
                 break
             point = tuple(_inside(v, bounds) for v, bounds in zip(where, seeker.question.bounds, strict=True))
-            exact = seeker.question.exact([rational(v) for v in point])
-            if is_finite(exact) and sign(exact) == -1:
-                return Search(point, exact, lowest[0], lowest[1], seeker.evaluations)
+            if _negative(seeker.question, point) is None:
+                continue
+            simple, exact = _shortest(seeker.question, point)
+            return Search(simple, exact, lowest[0], lowest[1], seeker.evaluations)
     return Search(None, None, lowest[0], lowest[1], seeker.evaluations)
+
+
+def _negative(question: Question, point: Sequence[Fraction]) -> Real | None:
+    """The value at the point if it is certainly negative."""
+    value = question.exact([rational(v) for v in point])
+    return value if is_finite(value) and sign(value) == -1 else None
+
+
+def _shortest(question: Question, point: tuple[Fraction, ...]) -> tuple[tuple[Fraction, ...], Real | None]:
+    """The point with as few digits as show the same, so that it can be written down and checked again."""
+    for digits in (1, 2, 3, 4, 6, 9, 12, 15, 17, 25):
+        rounded = (Fraction(f"{Decimal(v.numerator) / Decimal(v.denominator):.{digits}g}") for v in point)
+        simple = tuple(_clipped(v, bounds) for v, bounds in zip(rounded, question.bounds, strict=True))
+        value = _negative(question, simple)
+        if value is not None:
+            return simple, value
+    return point, _negative(question, point)
 
 
 def _inside(value: float, bounds: Interval) -> Fraction:
     """The double as a rational, moved into its exact interval."""
+    return _clipped(Fraction(value), bounds)
+
+
+def _clipped(value: Fraction, bounds: Interval) -> Fraction:
     lo, hi = bounds
-    exact = Fraction(value)
-    if lo is not None and exact < lo:
+    if lo is not None and value < lo:
         return lo
-    return hi if hi is not None and exact > hi else exact
+    return hi if hi is not None and value > hi else value
 
 
 def _distinct(best: Sequence[tuple[float, tuple[float, ...]]], count: int) -> Iterator[tuple[float, tuple[float, ...]]]:

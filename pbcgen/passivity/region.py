@@ -1,0 +1,108 @@
+"""Where a verdict holds: on the whole space, or on the box that the system states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import casadi as ca
+
+from pbcgen.models.exact import decimal
+from pbcgen.passivity.plant import Plant
+from pbcgen.proof.branch import Budget, OnBox
+from pbcgen.proof.nonnegative import Everywhere, Prover
+from pbcgen.proof.refute import Question, Search, refute
+from pbcgen.symbolic.field import Field
+from pbcgen.symbolic.real import BITS, ZERO, Real, precision
+
+Interval = tuple[Fraction | None, Fraction | None]
+
+#: The domain of claims that hold on the whole space.
+EVERYWHERE = "all x"
+#: Arguments of these must be positive for a smooth value.
+_POSITIVE_ARGUMENT = frozenset({"log", "sqrt"})
+#: Arguments of these must lie in (-1, 1).
+_UNIT_ARGUMENT = frozenset({"asin", "acos", "atanh"})
+_LARGEST_DIVISOR = 40
+
+
+@dataclass(frozen=True)
+class Region:
+    """A box of states by name; an empty mapping of bounds is the whole space."""
+
+    names: tuple[str, ...]
+    bounds: tuple[Interval, ...]
+
+    @staticmethod
+    def whole(plant: Plant) -> Region:
+        """All states."""
+        return Region(plant.system.state_names, ((None, None),) * plant.system.n)
+
+    @staticmethod
+    def stated(plant: Plant) -> Region:
+        """The box that the system states."""
+        names, domain = plant.system.state_names, plant.system.domain
+        return Region(names, tuple(domain.get(name, (None, None)) for name in names))
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether no state is bounded."""
+        return all(interval == (None, None) for interval in self.bounds)
+
+    @property
+    def text(self) -> str:
+        """For :attr:`Claim.domain`: ``x3 in [0, 4], x1 >= 0``."""
+        parts = [_interval_text(name, *interval) for name, interval in zip(self.names, self.bounds, strict=True)]
+        return ", ".join(part for part in parts if part) or EVERYWHERE
+
+    def prover(self, budget: Budget) -> Prover:
+        """What decides signs on the region; positions are those of the states among the plant's symbols."""
+        if self.is_whole:
+            return Everywhere()
+        return OnBox(dict(enumerate(self.bounds)), budget)
+
+
+def _interval_text(name: str, lo: Fraction | None, hi: Fraction | None) -> str:
+    if lo is not None and hi is not None:
+        return f"{name} in [{decimal(lo)}, {decimal(hi)}]"
+    if lo is not None:
+        return f"{name} >= {decimal(lo)}"
+    return f"{name} <= {decimal(hi)}" if hi is not None else ""
+
+
+def search(plant: Plant, region: Region, value: ca.SX, scale: ca.SX) -> Search:
+    """Look for a state of the region with ``value < 0``; both are SX of the state and the parameters."""
+    at_values = plant.numeric(value, scale)
+    x, u = plant.system.x, ca.SX(plant.system.m, 1)
+    numeric, size = at_values(x, u)
+    tape = plant.tape(value)
+    at_rest: list[Real] = [ZERO] * plant.system.m
+
+    def exact(point: Sequence[Real]) -> Real:
+        with precision(BITS):
+            return plant.walk(tape, point, at_rest)[0][0][0]
+
+    return refute(Question(numeric, x, exact, region.bounds, size))
+
+
+def undefined(field: Field, prover: Prover, states: int) -> list[str]:
+    """Conditions for the formulas of a field to be defined and smooth that were not proved: none if all were."""
+    one = field.const(1)
+    open_conditions = []
+    for divisor in field.divisors.values():
+        if not any(k < states for k in divisor.symbols()) or len(divisor.numerator) > _LARGEST_DIVISOR:
+            continue
+        if not (prover.positive(divisor) or prover.positive(-divisor)):
+            open_conditions.append("a divisor")
+    for atom in field.atoms.values():
+        argument = atom.argument
+        if not any(k < states for k in argument.symbols()):
+            continue
+        if atom.kind in _POSITIVE_ARGUMENT and not prover.positive(argument):
+            open_conditions.append(f"the argument of {atom.kind}")
+        if atom.kind in _UNIT_ARGUMENT and not prover.positive(one - argument * argument):
+            open_conditions.append(f"the argument of {atom.kind}")
+        if atom.kind == "acosh" and not prover.positive(argument - one):
+            open_conditions.append("the argument of acosh")
+    return open_conditions
