@@ -490,7 +490,9 @@ def _best_point(plant: Plant, design: Design) -> Point:
     x = [given.get(name, Fraction(0)) for name in plant.system.state_names]
     function = plant.numeric(plant.system.f, plant.system.g)
     f, g = function([float(v) for v in x], np.zeros(plant.system.m))
-    u = np.linalg.lstsq(np.array(ca.densify(g)), -np.array(f).ravel(), rcond=None)[0]
+    drift, matrix = np.array(f).ravel(), np.array(ca.densify(g))
+    certain = np.all(np.isfinite(drift)) and np.all(np.isfinite(matrix))
+    u = np.linalg.lstsq(matrix, -drift, rcond=None)[0] if certain else np.zeros(plant.system.m)
     finite = np.where(np.isfinite(u), u, 0.0)
     return Point(tuple(rational(v) for v in x), tuple(rational(Fraction(float(v))) for v in finite))
 

@@ -36,7 +36,8 @@ def float_newton(system: FloatSystem, start: NDArray[np.float64]) -> NDArray[np.
         value, jacobian = system(z)
         norm = float(np.linalg.norm(value))
         for _ in range(80):
-            if not np.isfinite(norm):
+            # LAPACK may not return from a least-squares problem with entries that are not finite.
+            if not (np.isfinite(norm) and np.all(np.isfinite(jacobian))):
                 return None
             try:
                 step = -np.linalg.lstsq(jacobian, value, rcond=None)[0]

@@ -150,3 +150,14 @@ def test_a_start_beyond_reach_gives_no_zero(start):
         return np.array([np.exp(z[0]) - 1]), np.array([[np.exp(z[0])]])
 
     assert float_newton(system, np.array([start])) is None
+
+
+def test_a_start_where_the_slope_is_infinite_is_given_up_at_once():
+    """sqrt(x) at 0; a least-squares solver may never return from an infinite entry."""
+
+    def system(z):
+        with np.errstate(all="ignore"):
+            root = np.sqrt(z)
+            return np.array([root[0] - root[1], root[1] - 1]), np.array([0.5 / root, [0, 0.5 / root[1]]]) * [[1], [-1]]
+
+    assert float_newton(system, np.array([0.0, 0.0])) is None

@@ -206,7 +206,7 @@ def _is_certainly_negative(expression, point):
 
 @pytest.mark.parametrize("seed", range(150))
 def test_a_broken_sum_of_nonnegative_terms_is_not_proved(seed):
-    """A term is dropped, changes its sign or loses a part: where a sample shows a negative value, no proof may exist."""
+    """A term is dropped, changes its sign or loses a part: where a sample is negative, no proof may exist."""
     rng = random.Random(seed)
     terms = [_nonnegative_term(rng) for _ in range(rng.randint(1, 3))]
     whole = sum(terms[1:], terms[0])
