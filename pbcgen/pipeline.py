@@ -16,12 +16,13 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+from pbcgen.control.certificate import certificate as write_certificate
 from pbcgen.control.closed_loop import ClosedLoop
 from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.law import ControlLaw
 from pbcgen.control.sampled import Sampling
-from pbcgen.emit import Package, Provenance, render
 from pbcgen.control.stability import LYAPUNOV
+from pbcgen.emit import Package, Provenance, render
 from pbcgen.errors import ModelError, NotProved
 from pbcgen.models.design import Design
 from pbcgen.models.identity import model_hash
@@ -162,9 +163,7 @@ def package(report: Report, *, prefix: str | None = None, allow: Sequence[str] =
 
 def certificate(report: Report) -> str:
     """What `pbcgen verify` needs to check every verdict again, as JSON; the same for the same design."""
-    from pbcgen.control.certificate import certificate as document
-
-    return json.dumps(document(report.derivation), indent=1, sort_keys=True, ensure_ascii=True) + "\n"
+    return json.dumps(write_certificate(report.derivation), indent=1, sort_keys=True, ensure_ascii=True) + "\n"
 
 
 def _refusal(report: Report, blocking: Sequence[Claim]) -> str:

@@ -1,0 +1,384 @@
+"""The certificate of a design: what :mod:`pbcgen.verify` needs to check every verdict again without searching.
+
+It holds the model as the text that its hash is the hash of, the formulas that were found (gamma, eta, a power
+structure), what the controller reads, and a witness for each claim: a decomposition into squares, the centre of an
+enclosure, a direction. The checker makes the statements themselves out of the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from flint import fmpq
+
+import pbcgen
+from pbcgen.control.derive import Derivation
+from pbcgen.control.measure import Measurement, Unreadable
+from pbcgen.control.writing import Writing
+from pbcgen.errors import UnsupportedOperation
+from pbcgen.models.identity import canonical_text, model_hash
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import gains as gains_of
+from pbcgen.passivity.dissipation import constant_part
+from pbcgen.passivity.equilibrium import greedy_rows
+from pbcgen.passivity.plant import Plant, Point, columns, dot
+from pbcgen.passivity.shaping import diagonal, exact_matrix, extended_hessian, shape_at
+from pbcgen.passivity.structure import PowerStructure
+from pbcgen.proof.claim import Claim, Status
+from pbcgen.proof.definite import RealMatrix, positive_definite
+from pbcgen.proof.squares import Square, decompose, decompose_matrix
+from pbcgen.symbolic.field import Quotient
+from pbcgen.symbolic.real import BITS, Real, approximate, fraction, lower, midpoint, precision, rational, upper
+from pbcgen.verify.files import FORMAT, digest
+
+#: Half-width of the box of Krawczyk's test, and the digits of its centre.
+_RADIUS = "1e-70"
+_DIGITS = 80
+
+_Rows = list[list[Quotient]]
+
+
+def certificate(derivation: Derivation) -> dict[str, Any]:
+    """The document; the same for the same derivation."""
+    terms = Writing()
+    claims = [
+        {
+            "claim": claim.claim,
+            "status": str(claim.status),
+            "domain": claim.domain,
+            "method": claim.method,
+            "witness": _witness(derivation, claim, terms),
+        }
+        for claim in derivation.claims
+    ]
+    document = {
+        "format": FORMAT,
+        "generator": f"pbcgen {pbcgen.__version__}",
+        "design": derivation.design.name,
+        "model_hash": model_hash(derivation.design),
+        "model": canonical_text(derivation.design).splitlines(),
+        "formulas": _formulas(derivation).lines(),
+        "readings": _readings(derivation).lines(),
+        "terms": terms.lines(),
+        "claims": claims,
+    }
+    return {**document, "digest": digest(document)}
+
+
+def _base(law: Law | None) -> Law | None:
+    return law.base if isinstance(law, Integral) else law
+
+
+def _formulas(derivation: Derivation) -> Writing:
+    """gamma, eta and the power structure."""
+    plant, structure = derivation.plant, derivation.structure
+    named = {"gamma": derivation.gamma, "eta": derivation.eta}
+    if structure is not None:
+        named |= {"matrix": structure.matrix, "remainder": structure.remainder}
+    present = {name: ca.SX(e) for name, e in named.items() if e is not None and e.numel()}
+    writing = Writing()
+    constants = [plant.values[name] for name in plant.parameter_names[len(plant.system.parameters.names) :]]
+    writing.tape(plant.tape(*present.values()), list(present), ["state", "input", "parameter"], {2: constants})
+    return writing
+
+
+def _readings(derivation: Derivation) -> Writing:
+    """What the law needs, as formulas in the measured signals; nothing where one of them cannot be read."""
+    writing = Writing()
+    plant, point = derivation.plant, derivation.point
+    if point is None or derivation.gamma is None:
+        return writing
+    measurement = Measurement.of(plant, point)
+    named: dict[str, ca.SX] = {}
+    for name, signals in _signals(derivation, derivation.gamma):
+        readings = [measurement.read(signal, name) for signal in ca.vertsplit(ca.vec(ca.densify(signals)))]
+        if any(isinstance(reading, Unreadable) for reading in readings):
+            return writing
+        named[name] = ca.vertcat(*[r.deviation for r in readings if not isinstance(r, Unreadable)])
+    symbols = [symbol for symbol, _ in measurement.constants]
+    tape_inputs = [measurement.symbols, ca.vertcat(*symbols) if symbols else ca.SX(0, 1)]
+    constants = [midpoint(value) for _, value in measurement.constants]
+    writing.expressions(tape_inputs, named, ["measured", "constant"], {1: constants})
+    return writing
+
+
+def _signals(derivation: Derivation, gamma: ca.SX) -> Iterator[tuple[str, ca.SX]]:
+    system, base = derivation.plant.system, _base(derivation.law)
+    yield "gamma", gamma
+    if isinstance(base, NaturalDamping) and derivation.eta is not None:
+        yield "eta", derivation.eta
+    if isinstance(base, PotentialCompensation) and system.mechanical is not None:
+        yield "potential", ca.gradient(system.mechanical.V, system.mechanical.q)
+    if isinstance(base, PassiveOutput):
+        slope = ca.jacobian(gamma, system.x)
+        yield "drift", ca.mtimes(slope, system.f)
+        yield "feedthrough", ca.mtimes(slope, system.g).T
+
+
+# --- witnesses ---------------------------------------------------------------------------------------------------
+
+
+def _witness(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    """The data for one claim; None where the checker needs none, or there are none."""
+    if claim.status is Status.UNDECIDED:
+        return None
+    make = (_PROVED if claim.status is Status.PROVED else _REFUTED).get(claim.claim)
+    try:
+        return None if make is None else make(derivation, claim, terms)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return None
+
+
+def _equilibrium(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    """Exact coordinates, a centre for the others, and the equations that determine them."""
+    point, system = derivation.point, derivation.plant.system
+    if point is None:
+        return None
+    values = dict(zip((*system.state_names, *system.input_names), (*point.x, *point.u), strict=True))
+    known = {name: str(exact) for name, value in values.items() if (exact := _exactly(value)) is not None}
+    unknown = {name: _decimal(midpoint(value)) for name, value in values.items() if name not in known}
+    rows = _equations(derivation, point, [k for k, name in enumerate(values) if name in unknown])
+    return {"known": known, "unknown": unknown, "radius": _RADIUS, "rows": rows}
+
+
+def _equations(derivation: Derivation, point: Point, unknown: list[int]) -> list[int]:
+    """As many equations as unknowns, with independent gradients at x*."""
+    if not unknown:
+        return []
+    system = derivation.plant.system
+    conditions = [c.expression for c in derivation.design.target.conditions]
+    slope = ca.jacobian(ca.vertcat(system.xdot, *conditions), ca.vertcat(system.x, system.u)[unknown])
+    (matrix,) = derivation.plant.at(point, ca.densify(slope))
+    return greedy_rows(np.array([[approximate(v) for v in row] for row in matrix]))
+
+
+def _exactly(value: Real) -> Fraction | None:
+    """The number, or the short decimal in its enclosure, which it must then be; None for others."""
+    short = Fraction(repr(approximate(value)))
+    if isinstance(value, fmpq):
+        return fraction(value)
+    return (
+        short if lower(value) <= short <= upper(value) else Fraction(0) if lower(value) <= 0 <= upper(value) else None
+    )
+
+
+def _decimal(value: Fraction) -> str:
+    """The number rounded to many digits."""
+    if value == 0:
+        return "0"
+    exponent = len(str(abs(value.numerator))) - len(str(value.denominator)) - _DIGITS
+    return f"{round(value / Fraction(10) ** exponent)}e{exponent}"
+
+
+def _storage(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    return _written(_decomposed(derivation, terms, inputs=False), terms)
+
+
+def _passivity(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    return _written(_decomposed(derivation, terms, inputs=True), terms)
+
+
+def _decomposed(derivation: Derivation, terms: Writing, inputs: bool) -> list[Square] | None:
+    """Z of Hill and Moylan, or its first entry, as a sum of squares: by the power structure, else directly."""
+    plant, structure = derivation.plant, derivation.structure
+    gamma = derivation.gamma if inputs and derivation.gamma is not None else ca.SX(0, 1)
+    if structure is not None:
+        lift = _Lift.of(plant, structure, gamma)
+        squares = decompose_matrix(lift.dissipation)
+        if squares is not None and lift.matched:
+            return lift.apply(squares)
+    return decompose_matrix(_power_form(plant, gamma))
+
+
+def _power_form(plant: Plant, gamma: ca.SX) -> _Rows:
+    """``u^T y - S'`` as a quadratic form in (1, u), with y = gamma'."""
+    system = plant.system
+    m = gamma.numel()
+    psi = ca.jacobian(gamma, system.x) if m else ca.SX(0, system.n)
+    border = (ca.mtimes(psi, system.f) - ca.mtimes(system.g.T, plant.gradient)[:m]) / 2
+    block = ca.mtimes(psi, system.g)[:, :m]
+    corner = -ca.dot(plant.gradient, system.f)
+    field, (Z,) = plant.exact(ca.blockcat([[corner, border.T], [border, (block + block.T) / 2]]))
+    return Z.dense(field.const(0))
+
+
+class _Lift:
+    """From quadratic forms in v to quadratic forms in (1, u): v = grad S - grad gamma u, or v = x'."""
+
+    def __init__(
+        self, dissipation: _Rows, first: list[Quotient], others: _Rows, friction: Quotient, matched: bool
+    ) -> None:
+        self.dissipation, self.first, self.others = dissipation, first, others
+        self.friction, self.matched = friction, matched
+        self.zero = friction.field.const(0)
+
+    @staticmethod
+    def of(plant: Plant, structure: PowerStructure, gamma: ca.SX) -> _Lift:
+        """The relation of a power structure; ``matched`` says whether it holds for gamma."""
+        system = plant.system
+        psi = ca.jacobian(gamma, system.x).T if gamma.numel() else ca.SX(system.n, 0)
+        field, (B, e, f, g, p, M, rest) = plant.exact(
+            structure.dissipation(), plant.gradient, system.f, system.g, psi, structure.matrix, structure.remainder
+        )
+        zero = field.const(0)
+        gradient, drift, rho, matrix = e.column(zero), f.column(zero), rest.column(zero), M.dense(zero)
+        slopes, inputs = columns(p, zero), columns(g, zero)
+        by_gradient = structure.form == "F"
+        matched = True
+        for slope, column in zip(slopes, inputs, strict=False):
+            inside, out = (slope, column) if by_gradient else (column, slope)
+            matched &= dot(rho, slope, zero).is_zero()
+            matched &= all((dot(row, inside, zero) + out[k]).is_zero() for k, row in enumerate(matrix))
+        others = [[-v for v in slope] for slope in slopes] if by_gradient else inputs[: len(slopes)]
+        return _Lift(B.dense(zero), gradient if by_gradient else drift, others, dot(rho, gradient, zero), matched)
+
+    def apply(self, squares: Sequence[Square]) -> list[Square] | None:
+        """The squares as forms in (1, u), with the power of the friction; None if that is not a sum of squares."""
+        friction = decompose(self.friction)
+        if friction is None:
+            return None
+        lifted = [
+            Square(
+                s.weight, s.factors, tuple(dot(s.vector, column, self.zero) for column in (self.first, *self.others))
+            )
+            for s in squares
+        ]
+        unit = [self.zero.field.const(1), *[self.zero] * len(self.others)]
+        return lifted + [square.times(unit) for square in friction]
+
+
+def _natural_damping(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    """The dissipation minus what eta' and y account for: a constant matrix, and nonnegative functions."""
+    plant, structure, bounds = derivation.plant, derivation.structure, derivation.bounds
+    gamma, eta = derivation.gamma, derivation.eta
+    if structure is None or bounds is None or gamma is None or eta is None:
+        return None
+    if bounds.Lambda_l is None or bounds.Lambda_c is None:
+        return None
+    lift = _Lift.of(plant, structure, gamma)
+    field, zero = lift.zero.field, lift.zero
+    split = constant_part(lift.dissipation)
+    if split is None or not lift.matched:
+        return None
+    slopes = ca.jacobian(ca.vertcat(eta, gamma), plant.system.x)
+    _, (rows,) = plant.exact(ca.mtimes(slopes, structure.matrix) if structure.form == "F" else slopes)
+    size = range(plant.system.n)
+    constant = [list(row) for row in split[0]]
+    for weight, row in zip((*bounds.Lambda_l, *bounds.Lambda_c), rows.dense(zero), strict=True):
+        c = [entry.constant() for entry in row]
+        constant = [[constant[i][j] - weight * c[i] * c[j] for j in size] for i in size]
+
+    def number(value: Real) -> Quotient:
+        return field.const(midpoint(value))
+
+    squares = decompose_matrix([[number(v) for v in row] for row in constant])
+    excess = decompose_matrix([[lift.dissipation[i][j] - number(split[0][i][j]) for j in size] for i in size])
+    if squares is None or excess is None:
+        return None
+    lambdas = {"Lambda_l": [str(v) for v in bounds.Lambda_l], "Lambda_c": [str(v) for v in bounds.Lambda_c]}
+    written = _written(lift.apply([*squares, *excess]), terms)
+    return None if written is None else lambdas | written
+
+
+def _written(squares: Sequence[Square] | None, terms: Writing) -> dict[str, Any] | None:
+    if squares is None:
+        return None
+    return {
+        "squares": [
+            [
+                str(square.weight),
+                [
+                    [
+                        factor.kind,
+                        terms.quotient(factor.a),
+                        None if factor.b is None or factor.b.is_zero() else terms.quotient(factor.b),
+                        factor.b is None,
+                    ]
+                    for factor in square.factors
+                ],
+                [None if entry.is_zero() else terms.quotient(entry) for entry in square.vector],
+            ]
+            for square in squares
+        ]
+    }
+
+
+def _gradient(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    return None if derivation.structure is None else {"form": derivation.structure.form}
+
+
+def _direction(matrix: Callable[[Derivation], RealMatrix]) -> Callable[..., dict[str, Any] | None]:
+    """The rational direction in which a matrix is not positive definite."""
+
+    def make(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+        with precision(BITS):
+            witness = positive_definite(matrix(derivation)).witness
+        return None if witness is None else {"v": [str(v) for v in witness]}
+
+    return make
+
+
+def _hessian(derivation: Derivation, extended: bool) -> RealMatrix:
+    base = _base(derivation.law)
+    assert derivation.point is not None
+    assert derivation.gamma is not None
+    assert base is not None
+    alpha, beta = (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)  # type: ignore[union-attr]
+    stiffness = diagonal([rational(a * b) for a, b in zip(alpha, beta, strict=True)])
+    compensated = isinstance(base, PotentialCompensation)
+    shape = shape_at(derivation.plant, derivation.point, derivation.gamma, compensated=compensated)
+    if extended:
+        return extended_hessian(shape, stiffness, exact_matrix(base.K_c))  # type: ignore[union-attr]
+    return shape.hessian(stiffness)
+
+
+def _input_gram(derivation: Derivation) -> RealMatrix:
+    assert derivation.point is not None
+    g = derivation.plant.system.g
+    return derivation.plant.at(derivation.point, ca.mtimes(g.T, g))[0]
+
+
+def _gain(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    name = str((claim.counterexample or {})["gain"])
+    gain = gains_of(derivation.law)[name] if derivation.law is not None else ()
+    found = _direction(lambda _: exact_matrix(gain))(derivation, claim, terms)  # type: ignore[arg-type]
+    return None if found is None else {"gain": name} | found
+
+
+def _state(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    point = (claim.counterexample or {})["x"]
+    return {"x": [str(point[name]) for name in derivation.plant.system.state_names]}
+
+
+def _blind(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    direction = (claim.counterexample or {})["direction"]
+    return {"v": [str(direction[name]) for name in derivation.plant.system.state_names]}
+
+
+def _theta(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    found = claim.counterexample or {}
+    return {"v": [str(v) for part in ("eta'", "y", "x_l'") for v in found[part]]}
+
+
+_Maker = Callable[[Derivation, Claim, Writing], dict[str, Any] | None]
+
+_PROVED: Mapping[str, _Maker] = {
+    "equilibrium": _equilibrium,
+    "assumption-1": _storage,
+    "passive-output": _passivity,
+    "assumption-3": _natural_damping,
+    "gradient-condition": _gradient,
+}
+_REFUTED: Mapping[str, _Maker] = {
+    "input-rank": _direction(_input_gram),
+    "assumption-1": _state,
+    "hessian-condition": _direction(lambda d: _hessian(d, False)),
+    "kc-bound": _direction(lambda d: _hessian(d, True)),
+    "gain-definiteness": _gain,
+    "theta": _theta,
+    "measurability": _blind,
+}

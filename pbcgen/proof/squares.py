@@ -1,0 +1,251 @@
+"""Nonnegative functions and semidefinite matrices of functions written out as sums of squares, for certificates.
+
+``M = sum weight * factors * v v^T`` with positive weights, factors that are nonnegative by their kind, and vectors v of
+rational functions. Who reads it multiplies out and compares; nothing has to be found again. The writing follows the
+proofs in :mod:`pbcgen.proof.nonnegative`, and may fail where they succeed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+from flint import fmpq, fmpq_mpoly
+
+from pbcgen.proof.nonnegative import (
+    Exponents,
+    Known,
+    gram_place,
+    trigonometric_forms,
+    without_sector_pairs,
+)
+from pbcgen.symbolic.field import Field, Quotient
+
+#: Functions that increase where they are defined, and the values at zero of those that are defined there.
+AT_ZERO = {"tanh": 0, "atan": 0, "asinh": 0, "erf": 0, "asin": 0, "atanh": 0, "exp": 1}
+INCREASING = frozenset(AT_ZERO) | {"log", "sqrt"}
+
+_MOST_TERMS = 300
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A nonnegative function: ``(T(a) - T(b)) (a - b)`` with T increasing, or T(a) itself for b = None."""
+
+    kind: str
+    a: Quotient
+    b: Quotient | None
+
+
+@dataclass(frozen=True)
+class Square:
+    """``weight * factors * v v^T``."""
+
+    weight: fmpq
+    factors: tuple[Factor, ...]
+    vector: tuple[Quotient, ...]
+
+    def times(self, scale: Sequence[Quotient]) -> Square:
+        """The square with the scalar v replaced by ``v * scale``."""
+        return Square(self.weight, self.factors, tuple(self.vector[0] * s for s in scale))
+
+
+def decompose(function: Quotient) -> list[Square] | None:
+    """The function as a sum of squares (vectors of length one), or None if none was found."""
+    field = function.field
+    known = Known.of(field, frozenset())
+    if function.is_polynomial():
+        return _polynomial(field, function.numerator, known)
+    inverse = field.const(1) / field.polynomial(function.denominator)
+    above, below = (_polynomial(field, p, known) for p in (function.numerator, function.denominator))
+    if above is not None and below is not None:
+        return [square.times([inverse]) for square in _product(above, below)]
+    product = _polynomial(field, function.numerator * function.denominator, known)
+    return None if product is None else [square.times([inverse]) for square in product]
+
+
+def decompose_matrix(matrix: Sequence[Sequence[Quotient]]) -> list[Square] | None:
+    """A symmetric matrix of functions as a sum of squares, by elimination; None if none was found."""
+    work = [list(row) for row in matrix]
+    order = list(range(len(matrix)))
+    found: list[Square] = []
+    while order:
+        zero = [k for k in order if work[k][k].is_zero()]
+        if any(not work[k][j].is_zero() for k in zero for j in order):
+            return None
+        order = [k for k in order if k not in zero]
+        if not order:
+            break
+        order.sort(key=lambda k: (sum(not work[k][j].is_zero() for j in order), len(work[k][k].numerator), k))
+        pivot, squares = next(((k, s) for k in order if (s := decompose(work[k][k])) is not None), (-1, []))
+        if pivot < 0:
+            return None
+        zeros = work[0][0].field.const(0)
+        column = [row[pivot] / work[pivot][pivot] if i in order else zeros for i, row in enumerate(work)]
+        found += [square.times(column) for square in squares]
+        order.remove(pivot)
+        for i in order:
+            if not column[i].is_zero():
+                for j in order:
+                    work[i][j] = work[i][j] - column[i] * work[pivot][j]
+    return found
+
+
+def _polynomial(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int = 3) -> list[Square] | None:
+    """Terms and quadratic forms, products of increasing functions, or factors with a sign each."""
+    if polynomial.is_zero():
+        return []
+    for form in trigonometric_forms(field, polynomial):
+        squares = _form(field, form, known)
+        if squares is not None:
+            return squares
+    if depth == 0 or len(polynomial) > _MOST_TERMS:
+        return None
+    found = _by_pairs(field, polynomial, known, depth)
+    return found if found is not None else _by_factors(field, polynomial, known, depth)
+
+
+def _by_pairs(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> list[Square] | None:
+    """Take out a multiple of ``(T(a) - T(b)) (a - b)`` where multiplier and rest are sums of squares too."""
+    for factor, divisor in _increasing(field):
+        quotient, rest = divmod(polynomial, divisor)
+        if quotient.is_zero():
+            continue
+        multiplier = _polynomial(field, quotient, known, depth - 1)
+        remaining = None if multiplier is None else _polynomial(field, rest, known, depth - 1)
+        if multiplier is not None and remaining is not None:
+            return [Square(s.weight, (*s.factors, factor), s.vector) for s in multiplier] + remaining
+    return None
+
+
+def _increasing(field: Field) -> Iterator[tuple[Factor, fmpq_mpoly]]:
+    """``(T(a) - T(b)) (a - b)`` for the atoms T(a), T(b) of the field, and b = 0 for odd functions and exp."""
+    atoms = [(k, a) for k, a in sorted(field.atoms.items()) if a.kind in INCREASING and a.argument.is_polynomial()]
+    generators = field.context.gens()
+    for k, atom in atoms:
+        if atom.kind in AT_ZERO:
+            difference = generators[k] - AT_ZERO[atom.kind]
+            yield Factor(atom.kind, atom.argument, field.const(0)), difference * atom.argument.numerator
+    for (k, a), (j, b) in combinations(atoms[:12], 2):
+        if a.kind == b.kind:
+            apart = a.argument.numerator - b.argument.numerator
+            yield Factor(a.kind, a.argument, b.argument), (generators[k] - generators[j]) * apart
+
+
+def _by_factors(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> list[Square] | None:
+    """Without its square factors; or as a product of factors that each have a known sign."""
+    content, factors = polynomial.factor()
+    odd = [factor for factor, power in factors if power % 2]
+    if len(odd) == len(factors) == 1:
+        return None
+    root = field.context.constant(1)
+    for factor, power in factors:
+        root *= factor ** (power // 2)
+    square = Square(abs(content), (), (field.polynomial(root),))
+    total = [square]
+    sign = 1 if content > 0 else -1
+    for factor in odd:
+        upward = _polynomial(field, factor, known, depth - 1)
+        squares = upward if upward is not None else _polynomial(field, -factor, known, depth - 1)
+        if squares is None:
+            break
+        sign = sign if upward is not None else -sign
+        total = _product(total, squares)
+    else:
+        return total if sign > 0 else None
+    remaining = field.context.constant(1 if content > 0 else -1)
+    for factor in odd:
+        remaining *= factor
+    squares = None if remaining == polynomial else _polynomial(field, remaining, known, depth - 1)
+    return None if squares is None else _product([square], squares)
+
+
+def _product(left: Sequence[Square], right: Sequence[Square]) -> list[Square]:
+    """The product of two sums of scalar squares."""
+    return [
+        Square(a.weight * b.weight, a.factors + b.factors, (a.vector[0] * b.vector[0],)) for a in left for b in right
+    ]
+
+
+def _form(field: Field, polynomial: fmpq_mpoly, known: Known) -> list[Square] | None:
+    """Terms of known sign one by one; then a quadratic form for each power of the positive generators."""
+    groups: dict[Exponents, dict[Exponents, fmpq]] = {}
+    found: list[Square] = []
+    for raw, coefficient in polynomial.to_dict().items():
+        exponents = tuple(int(e) for e in raw)
+        rest = without_sector_pairs(exponents, known)
+        outside = tuple(e % 2 if k in known.positive else 0 for k, e in enumerate(rest))
+        inside = tuple(e - o for e, o in zip(rest, outside, strict=True))
+        if rest == exponents:
+            group = groups.setdefault(outside, {})
+            group[inside] = group.get(inside, fmpq(0)) + coefficient
+        elif coefficient > 0 and all(e % 2 == 0 for e in inside):
+            root = _monomial(field, tuple(e // 2 for e in inside))
+            sector = Square(coefficient, _positive(field, outside), (root,))
+            found.append(_with_sectors(field, sector, exponents, rest))
+        else:
+            return None
+    for outside, terms in groups.items():
+        squares = _gram(field, terms)
+        if squares is None or any(e and k < field.symbol_count for k, e in enumerate(outside)):
+            return None
+        found += [Square(weight, _positive(field, outside), (v,)) for weight, v in squares]
+    return found
+
+
+def _with_sectors(field: Field, square: Square, exponents: Exponents, rest: Exponents) -> Square:
+    """The square times the factors ``T(a) xi`` that were taken out of a monomial; a is a positive multiple of xi."""
+    for k, atom in field.atoms.items():
+        if exponents[k] > rest[k] and atom.kind in AT_ZERO and atom.kind not in ("exp", "sqrt"):
+            ((whole, coefficient),) = atom.argument.numerator.to_dict().items()
+            positive = tuple(
+                int(e) if i in field.atoms and field.atoms[i].kind in ("exp", "sqrt") else 0
+                for i, e in enumerate(whole)
+            )
+            factors = (
+                Factor(atom.kind, atom.argument, field.const(0)),
+                *_positive(field, tuple(e % 2 for e in positive)),
+            )
+            half = _monomial(field, tuple((e + 1) // 2 for e in positive))
+            square = Square(square.weight / coefficient, square.factors + factors, (square.vector[0] / half,))
+    return square
+
+
+def _monomial(field: Field, exponents: Exponents) -> Quotient:
+    return field.polynomial(field.context.from_dict({exponents: fmpq(1)}))
+
+
+def _positive(field: Field, outside: Exponents) -> tuple[Factor, ...]:
+    atoms = [field.atoms[k] for k, e in enumerate(outside) if e and k in field.atoms]
+    return tuple(Factor(atom.kind, atom.argument, None) for atom in atoms)
+
+
+def _gram(field: Field, terms: dict[Exponents, fmpq]) -> list[tuple[fmpq, Quotient]] | None:
+    """The polynomial as ``sum weight * (polynomial)^2`` through LDL^T of its Gram matrix."""
+    terms = {e: c for e, c in terms.items() if c != 0}
+    halves = sorted(tuple(x // 2 for x in e) for e, c in terms.items() if c > 0 and all(x % 2 == 0 for x in e))
+    position = {half: i for i, half in enumerate(halves)}
+    size = len(halves)
+    gram = [[fmpq(0)] * size for _ in range(size)]
+    for exponents, coefficient in terms.items():
+        place = gram_place(exponents, halves, position)
+        if place is None:
+            return None
+        for i, j in (place, place[::-1]):
+            gram[i][j] += coefficient / 2
+    order = list(range(size))
+    found: list[tuple[fmpq, Quotient]] = []
+    while order:
+        pivot = max(order, key=lambda k: gram[k][k])
+        weight = gram[pivot][pivot]
+        if weight <= 0:
+            return found if all(gram[i][j] == 0 for i in order for j in order) else None
+        ratios = {i: gram[i][pivot] / weight for i in order if gram[i][pivot] != 0}
+        polynomial = field.context.from_dict({halves[i]: ratio for i, ratio in ratios.items()})
+        found.append((weight, field.polynomial(polynomial)))
+        order.remove(pivot)
+        for i in order:
+            for j in order:
+                gram[i][j] -= ratios.get(i, fmpq(0)) * gram[pivot][j]
+    return found

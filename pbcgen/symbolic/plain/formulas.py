@@ -1,0 +1,69 @@
+"""Formulas as numbered lines of text."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from flint import fmpq
+
+from pbcgen.symbolic.plain.values import apply
+
+
+class Malformed(Exception):
+    """The text does not follow the format."""
+
+
+def rational(text: str) -> fmpq:
+    """An exact number written as ``-3``, ``2/7``, ``1.5`` or ``2e-70``."""
+    top, _, bottom = text.partition("/")
+    mantissa, _, exponent = top.partition("e")
+    whole, _, decimals = mantissa.partition(".")
+    return fmpq(int(whole + decimals), int(bottom or 1)) * fmpq(10) ** (int(exponent or 0) - len(decimals))
+
+
+@dataclass(frozen=True)
+class Formulas:
+    """Numbered instructions, each naming earlier ones, and named matrices of their results."""
+
+    instructions: list[list[str]]
+    outputs: dict[str, tuple[int, int, dict[tuple[int, int], int]]]
+
+    @staticmethod
+    def parse(lines: Sequence[str]) -> Formulas:
+        """Indented lines: ``number operation operands``. Others: ``name ROWSxCOLUMNS row,column:number ...``."""
+        formulas = Formulas([], {})
+        for line in lines:
+            if line.startswith(" "):
+                number, *instruction = line.split()
+                if int(number) != len(formulas.instructions):
+                    raise Malformed("the instructions are not numbered in order")
+                formulas.instructions.append(instruction)
+            elif match := re.fullmatch(r"(.+) (\d+)x(\d+)((?: \d+,\d+:\d+)*)", line):
+                places = re.findall(r"(\d+),(\d+):(\d+)", match[4])
+                entries = {(int(i), int(j)): int(at) for i, j, at in places}
+                formulas.outputs[match[1]] = (int(match[2]), int(match[3]), entries)
+        return formulas
+
+    def walk(self, lift: Callable[[fmpq], Any], inputs: Mapping[str, Sequence[Any]]) -> list[Any]:
+        """The value of every instruction; ``inputs`` has a sequence for each operation that reads one."""
+        values: list[Any] = []
+        for name, *operands in self.instructions:
+            if name == "constant":
+                values.append(lift(rational(operands[0])))
+            elif name in inputs:
+                values.append(inputs[name][int(operands[0])])
+            else:
+                values.append(apply(name, *[values[int(o)] for o in operands]))
+        return values
+
+    def matrix(self, name: str, values: Sequence[Any]) -> list[list[Any]]:
+        """An output as rows, from the values of the instructions; structural zeros are exact."""
+        rows, columns, entries = self.outputs[name]
+        return [[values[entries[i, j]] if (i, j) in entries else fmpq(0) for j in range(columns)] for i in range(rows)]
+
+    def column(self, name: str, values: Sequence[Any]) -> list[Any]:
+        """The first column of an output."""
+        return [row[0] for row in self.matrix(name, values)]

@@ -1,0 +1,329 @@
+"""Numbers, exact functions and derivatives, with one meaning for every operation of a formula.
+
+A value is an exact rational, a ball that contains a real number, a :class:`Function`, or a :class:`Dual` over any of
+these. What is unknown is a ball without bounds, or an exception: never a wrong value.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx
+
+_ODD = {"tanh", "atan", "asinh", "erf", "asin", "atanh"}
+#: Functions that increase, and that are nowhere negative, where they are defined.
+INCREASING, NONNEGATIVE = _ODD | {"exp", "log", "sqrt"}, {"exp", "sqrt"}
+#: Functions that are analytic on the whole line; the others may enter a proof only where the model has them.
+_ENTIRE = {"exp", "sin", "cos", "tanh", "atan", "asinh", "erf"}
+_BOUNDED = {"sin", "cos", "tanh", "erf"}
+_AT_ZERO = {"exp": 1, "cos": 1} | dict.fromkeys([*_ODD, "sin", "sqrt"], 0)
+_FUNCTIONS = INCREASING | {"sin", "cos", "acos", "acosh"}
+#: Functions with more terms than this are not written out.
+_MOST_TERMS = 5000
+
+_OPERATIONS: dict[str, Callable[..., Any]] = {
+    "assign": lambda a: a,
+    "assign_first": lambda a, _: a,
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": lambda a, b: a * (fmpq(1) / b),
+    "neg": operator.neg,
+    "sq": lambda a: a * a,
+    "twice": lambda a: a + a,
+    "inv": lambda a: fmpq(1) / a,
+    "hypot": lambda a, b: apply("sqrt", a * a + b * b),
+    "expm1": lambda a: apply("exp", a) - 1,
+    "log1p": lambda a: apply("log", a + 1),
+    "tan": lambda a: apply("sin", a) / apply("cos", a),
+    "sinh": lambda a: (apply("exp", a) - apply("exp", -a)) / 2,
+    "cosh": lambda a: (apply("exp", a) + apply("exp", -a)) / 2,
+}
+
+#: The derivative of each function, from its argument a and its value v.
+_SLOPES: dict[str, Callable[[Any, Any], Any]] = {
+    "exp": lambda a, v: v,
+    "log": lambda a, v: 1 / a,
+    "sqrt": lambda a, v: 1 / (v + v),
+    "sin": lambda a, v: apply("cos", a),
+    "cos": lambda a, v: -apply("sin", a),
+    "tanh": lambda a, v: 1 - v * v,
+    "atan": lambda a, v: 1 / (a * a + 1),
+    "asin": lambda a, v: 1 / apply("sqrt", 1 - a * a),
+    "acos": lambda a, v: -1 / apply("sqrt", 1 - a * a),
+    "asinh": lambda a, v: 1 / apply("sqrt", a * a + 1),
+    "acosh": lambda a, v: 1 / apply("sqrt", a * a - 1),
+    "atanh": lambda a, v: 1 / (1 - a * a),
+}
+
+
+class NotCheckable(Exception):
+    """The checker has no means to decide this; nothing is said against the claim."""
+
+
+class Grow(Exception):
+    """A field needs more atoms: start again with a larger one."""
+
+
+def apply(name: str, *values: Any) -> Any:
+    """The operation ``name`` of a formula. Raises NotCheckable for one that has no meaning here."""
+    if name in _OPERATIONS:
+        return _OPERATIONS[name](*values)
+    if name == "pow":
+        return power(*values)
+    if name not in _FUNCTIONS:
+        raise NotCheckable(f"the operation {name} has no exact meaning")
+    (a,) = values
+    if isinstance(a, Value):
+        return a.function(name)
+    return fmpq(_AT_ZERO[name]) if a == 0 and isinstance(a, fmpq) and name in _AT_ZERO else getattr(arb, name)(arb(a))
+
+
+def power(a: Any, b: Any) -> Any:
+    """``a**b`` for a number b that is an integer or half of one."""
+    b = b.value if isinstance(b, Dual) and not b.slope else b
+    exponent = b.number() if isinstance(b, Function) else b
+    if not isinstance(exponent, fmpq) or exponent.q > 2:
+        raise NotCheckable("a power with an exponent that is not half an integer")
+    base = a if exponent.q == 1 else apply("sqrt", a)
+    result = prod([base] * abs(int(exponent.p)), start=fmpq(1))
+    return 1 / result if exponent < 0 else result
+
+
+def sign(value: Any) -> int | None:
+    """-1, 0 or 1 when the sign of a number is certain, else None."""
+    if value > 0 or value < 0:
+        return 1 if value > 0 else -1
+    return 0 if value == 0 and (isinstance(value, fmpq) or value.is_exact()) else None
+
+
+class Value:
+    """The operators that follow from sum, product, negation and inverse."""
+
+    def function(self, name: str) -> Any:
+        """The function ``name`` of this value."""
+        raise NotImplementedError
+
+    def __radd__(self: Any, other: Any) -> Any:
+        return self + other
+
+    def __rmul__(self: Any, other: Any) -> Any:
+        return self * other
+
+    def __sub__(self: Any, other: Any) -> Any:
+        return self + -other
+
+    def __rsub__(self: Any, other: Any) -> Any:
+        return -self + other
+
+    def __truediv__(self: Any, other: Any) -> Any:
+        return self * (fmpq(1) / other)
+
+    def __rtruediv__(self: Any, other: Any) -> Any:
+        return self.inverse() * other
+
+
+@dataclass(frozen=True, eq=False)
+class Function(Value):
+    """A quotient of polynomials in the symbols and atoms of a field, in lowest terms."""
+
+    field: Field
+    top: fmpq_mpoly
+    bottom: fmpq_mpoly
+
+    def __add__(self, other: Any) -> Function:
+        b = self.field.lift(other)
+        return self.field.quotient(self.top * b.bottom + b.top * self.bottom, self.bottom * b.bottom)
+
+    def __neg__(self) -> Function:
+        return Function(self.field, -self.top, self.bottom)
+
+    def __mul__(self, other: Any) -> Function:
+        b = self.field.lift(other)
+        return self.field.quotient(self.top * b.top, self.bottom * b.bottom)
+
+    def inverse(self) -> Function:
+        """The reciprocal; the divisor is noted, for it must not be the zero function in disguise."""
+        self.field.divisors[str(self.top)] = self.top
+        return self.field.quotient(self.bottom, self.top)
+
+    def function(self, name: str) -> Function:
+        """The function ``name`` of this one."""
+        return self.field.function(name, self)
+
+    def number(self) -> fmpq | None:
+        """The value of a constant."""
+        constant = self.top.is_constant() and self.bottom.is_constant()
+        return None if not constant else self.top.leading_coefficient() if self.top else fmpq(0)
+
+
+class Field:
+    """Rational functions over Q of symbols and atoms such as exp(x1), with the atoms' algebraic relations.
+
+    ``sin``, ``cos`` and ``exp`` of sums are expanded by their addition theorems. What is zero here is the zero
+    function; a function that is not zero here may still be, when its atoms are related in a way not known here.
+    """
+
+    def __init__(self, symbols: int, pool: int) -> None:
+        self.pool, self.closed = pool, False
+        self.ctx = fmpq_mpoly_ctx.get([f"a{k}" for k in range(pool)] + [f"v{k}" for k in range(symbols)], "lex")
+        self.generators, self.one = self.ctx.gens(), self.ctx.constant(1)
+        self.symbols = [Function(self, g, self.one) for g in self.generators[pool:]]
+        self.atoms: dict[tuple[str, str, str], Function] = {}
+        self.relations: list[fmpq_mpoly] = []
+        self.units: dict[tuple[bool, str, str], fmpq] = {}
+        self.divisors: dict[str, fmpq_mpoly] = {}
+
+    def lift(self, value: Any) -> Function:
+        """A number as a function."""
+        return value if isinstance(value, Function) else Function(self, self.ctx.constant(fmpq(value)), self.one)
+
+    def quotient(self, top: fmpq_mpoly, bottom: fmpq_mpoly) -> Function:
+        """``top / bottom`` with the relations applied, newest atom first. Raises ZeroDivisionError."""
+        for relation in reversed(self.relations):
+            top, bottom = top % relation, bottom % relation
+        if bottom.is_zero():
+            raise ZeroDivisionError("division by the zero function")
+        if len(top) + len(bottom) > _MOST_TERMS:
+            raise NotCheckable("the functions are too large to be written out")
+        common = bottom if top.is_zero() else top.gcd(bottom)
+        scale = (bottom / common).leading_coefficient()
+        return Function(self, top / common / scale, bottom / common / scale)
+
+    def atom(self, kind: str, a: Function) -> Function:
+        """The indeterminate for ``kind(a)``; a new one is larger than all before, so that relations reduce it."""
+        key = (kind, str(a.top), str(a.bottom))
+        if key not in self.atoms:
+            if self.closed and kind not in _ENTIRE:
+                raise NotCheckable(f"{kind} occurs in a proof but not in the model")
+            if len(self.atoms) == self.pool:
+                raise Grow
+            self.atoms[key] = a
+            new = self.generators[self.pool - len(self.atoms)]
+            if kind == "sqrt" and a.bottom.is_constant():
+                self.relations.append(new * new - a.top)
+            if kind == "sin":
+                self.relations.append(new * new + self.atom("cos", a).top ** 2 - 1)
+        return Function(self, self.generators[self.pool - 1 - list(self.atoms).index(key)], self.one)
+
+    def function(self, name: str, a: Function) -> Function:
+        """``name(a)`` in terms of atoms."""
+        if name in ("sin", "cos"):
+            return self._angle(a)[name == "cos"]
+        if name == "exp":
+            return prod((power(self.atom("exp", u), fmpq(k)) for u, k in self._multiples(a, False)), start=self.lift(1))
+        if a.top.is_zero() and name in _AT_ZERO:
+            return self.lift(_AT_ZERO[name])
+        negative = name in _ODD and a.top.leading_coefficient() < 0
+        return -self.atom(name, -a) if negative else self.atom(name, a)
+
+    def _multiples(self, a: Function, angle: bool) -> list[tuple[Function, int]]:
+        """The argument as a sum of integer multiples of units, one unit for each monomial."""
+        parts = []
+        for exponents, coefficient in sorted(a.top.to_dict().items()):
+            monomial = self.ctx.from_dict({exponents: 1})
+            unit = self.units.setdefault((angle, str(monomial), str(a.bottom)), abs(coefficient))
+            if (coefficient / unit).q != 1 or abs(coefficient / unit) > 24:
+                unit = abs(coefficient)
+            parts.append((self.quotient(monomial * unit, a.bottom), int((coefficient / unit).p)))
+        return parts
+
+    def _angle(self, a: Function) -> tuple[Function, Function]:
+        sine, cosine = self.lift(0), self.lift(1)
+        for unit, count in self._multiples(a, True):
+            c, s = self.atom("cos", unit), self.atom("sin", unit) * (1 if count > 0 else -1)
+            for _ in range(abs(count)):
+                sine, cosine = sine * c + cosine * s, cosine * c - sine * s
+        return sine, cosine
+
+    def bound(self, a: Function) -> tuple[fmpq, fmpq]:
+        """(c, r) with ``abs(a - c) <= r`` everywhere, from atoms with values in [-1, 1]."""
+        free = [k for k in range(len(self.generators)) if k >= self.pool or self._kind(k) not in _BOUNDED]
+        if not a.bottom.is_constant() or any(a.top.degrees()[k] > 0 for k in free):
+            raise NotCheckable("a function is not bounded by its terms")
+        terms = a.top.to_dict()
+        centre = sum((c for e, c in terms.items() if not any(e)), fmpq(0))
+        return centre, sum((abs(c) for e, c in terms.items() if any(e)), fmpq(0))
+
+    def _kind(self, k: int) -> str:
+        number = self.pool - 1 - k
+        return [*self.atoms][number][0] if number < len(self.atoms) else ""
+
+    def at(self, polynomial: fmpq_mpoly, point: Sequence[Any]) -> Any:
+        """The value of a polynomial in symbols and atoms at numbers for the symbols."""
+        values: dict[int, Any] = {self.pool + k: value for k, value in enumerate(point)}
+        for k, ((kind, _, _), a) in enumerate(self.atoms.items()):
+            values[self.pool - 1 - k] = apply(kind, _value_of(a.top, values) / _value_of(a.bottom, values))
+        return _value_of(polynomial, values)
+
+
+def _value_of(polynomial: fmpq_mpoly, values: dict[int, Any]) -> Any:
+    terms = polynomial.to_dict().items()
+    return sum((prod((power(values[k], fmpq(e)) for k, e in enumerate(es) if e), start=c) for es, c in terms), fmpq(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Dual(Value):
+    """A value with its partial derivatives by variable; a missing one is zero. Second derivatives: duals of duals."""
+
+    value: Any
+    slope: dict[int, Any]
+
+    def _joined(self, other: Any, value: Any, left: Any, right: Any) -> Dual:
+        """The result ``value`` of two operands, whose partial derivatives by the operands are left and right."""
+        slope = {k: left * d for k, d in self.slope.items()}
+        for k, d in other.slope.items() if isinstance(other, Dual) else ():
+            slope[k] = slope[k] + right * d if k in slope else right * d
+        return Dual(value, slope)
+
+    def _through(self, value: Any, factor: Any) -> Dual:
+        return Dual(value, {k: factor * d for k, d in self.slope.items()})
+
+    def __add__(self, other: Any) -> Dual:
+        return self._joined(other, self.value + _inside(other), 1, 1)
+
+    def __mul__(self, other: Any) -> Dual:
+        return self._joined(other, self.value * _inside(other), _inside(other), self.value)
+
+    def __neg__(self) -> Dual:
+        return self._through(-self.value, -1)
+
+    def inverse(self) -> Dual:
+        """The reciprocal."""
+        value = fmpq(1) / self.value
+        return self._through(value, -(value * value))
+
+    def function(self, name: str) -> Dual:
+        """The function ``name`` of this value."""
+        if name not in _SLOPES:
+            raise NotCheckable(f"the derivative of {name} has no exact meaning")
+        value = apply(name, self.value)
+        return self._through(value, _SLOPES[name](self.value, value))
+
+
+def _inside(value: Any) -> Any:
+    return value.value if isinstance(value, Dual) else value
+
+
+def plain(value: Any) -> Any:
+    """A value without its derivatives."""
+    while isinstance(value, Dual):
+        value = value.value
+    return value
+
+
+def variables(values: Sequence[Any], order: int = 1) -> list[Any]:
+    """The values as independent variables for derivatives up to ``order``."""
+    duals = list(values)
+    for _ in range(order):
+        duals = [Dual(value, {k: fmpq(1)}) for k, value in enumerate(duals)]
+    return duals
+
+
+def partial(value: Any, k: int) -> Any:
+    """The derivative of a dual by variable k; zero for what depends on no variable."""
+    return value.slope.get(k, fmpq(0)) if isinstance(value, Dual) else fmpq(0)

@@ -1,0 +1,73 @@
+"""Certificates and packages as files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pbcgen.symbolic.plain.formulas import Malformed
+from pbcgen.verify.claims import Finding, examine
+
+FORMAT = 1
+CERTIFICATE, MANIFEST = "certificate.json", "manifest.json"
+
+_LISTS = ("model", "formulas", "readings", "terms", "claims")
+
+
+def digest(document: Mapping[str, Any]) -> str:
+    """SHA-256 of the canonical text of everything but the digest itself."""
+    rest = {key: value for key, value in document.items() if key != "digest"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def verify(path: Path) -> tuple[Mapping[str, Any], list[Finding]]:
+    """Check a certificate, or the certificate of a package and the package's files.
+
+    Raises Malformed for what is no certificate, or has been changed since it was written.
+    """
+    package = path.is_dir()
+    document = read(path / CERTIFICATE if package else path)
+    return document, ([_package(path, document)] if package else []) + examine(document)
+
+
+def read(path: Path) -> dict[str, Any]:
+    """The certificate in a file. Raises Malformed."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise Malformed(f"{path} cannot be read: {error}") from None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise Malformed(f"{path} is not a certificate of format {FORMAT}")
+    if any(not isinstance(document.get(name), list) for name in _LISTS):
+        raise Malformed(f"{path} is not complete")
+    if document.get("digest") != digest(document):
+        raise Malformed(f"{path} was changed: it does not have the digest that it states")
+    if document.get("model_hash") != hashlib.sha256("\n".join([*document["model"], ""]).encode()).hexdigest():
+        raise Malformed(f"{path} does not hold the model that its hash names")
+    return document
+
+
+def _package(directory: Path, document: Mapping[str, Any]) -> Finding:
+    """Whether the files are those of the manifest, and the manifest speaks of the same model and verdicts."""
+    try:
+        manifest = json.loads((directory / MANIFEST).read_text(encoding="utf-8"))
+        changed = [
+            name
+            for name, facts in manifest["files"].items()
+            if hashlib.sha256((directory / name).read_bytes()).hexdigest() != facts["sha256"]
+        ]
+        verdicts = [[v[key] for key in ("claim", "status", "domain")] for v in manifest["verdicts"]]
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        return Finding("package", "", "fails", f"{MANIFEST} cannot be read: {error}")
+    if changed or CERTIFICATE not in manifest["files"]:
+        return Finding(
+            "package", "", "fails", f"changed since they were generated: {', '.join(changed) or CERTIFICATE}"
+        )
+    if manifest["model_hash"] != document["model_hash"]:
+        return Finding("package", "", "fails", "the manifest names another model than the certificate")
+    if verdicts != [[c[key] for key in ("claim", "status", "domain")] for c in document["claims"]]:
+        return Finding("package", "", "fails", "the manifest states other verdicts than the certificate")
+    return Finding("package", "", "checked")

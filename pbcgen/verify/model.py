@@ -1,0 +1,69 @@
+"""The model that a certificate speaks of, read from the text that its hash is the hash of."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from flint import fmpq
+
+from pbcgen.symbolic.plain.formulas import Formulas, Malformed, rational
+
+
+@dataclass(frozen=True)
+class Model:
+    """System, target, law and limits, read from the canonical text that the model's hash is the hash of."""
+
+    formulas: Formulas
+    words: dict[str, list[str]]
+    parameters: list[fmpq]
+    domain: dict[str, list[fmpq | None]]
+    target: dict[str, fmpq]
+    gains: dict[str, list[list[fmpq]]]
+    limits: list[tuple[list[fmpq], fmpq]]
+
+    @staticmethod
+    def parse(text: str) -> Model:
+        """Read the text. Raises Malformed for gains that no law has."""
+        lines = text.splitlines()
+        words = {key: rest.split() for key, _, rest in (line.partition(" ") for line in lines) if key}
+        named = dict(re.findall(r"^parameter (.+) = (.+)$", text, re.M))
+        domain = {
+            name: [_bound(lo), _bound(hi)] for name, lo, hi in re.findall(r"^domain (\S+) (\S+) (\S+)$", text, re.M)
+        }
+        target = {name: rational(value) for name, value in re.findall(r"^target (.+) = (\S+)$", text, re.M)}
+        m = len(words["inputs"])
+        gains = {name: _gain(value, m) for name, value in re.findall(r"^gain (\S+) = (.+)$", text, re.M)}
+        limits = [
+            (_numbers(row), rational(bound)) for row, bound in re.findall(r"^limit \[(.+)\] u <= (\S+)$", text, re.M)
+        ]
+        for name, *bounds in re.findall(r"^limit ([^\s\[]+) (\S+) (\S+)$", text, re.M):
+            unit = [fmpq(int(name == other)) for other in words["inputs"]]
+            for side, bound in zip((-1, 1), map(_bound, bounds), strict=True):
+                if bound is not None:
+                    limits.append(([side * v for v in unit], side * bound))
+        formulas = Formulas.parse(lines)
+        return Model(formulas, words, [rational(v) for v in named.values()], domain, target, gains, limits)
+
+    def vector(self, name: str) -> list[fmpq]:
+        """A gain with one positive entry for each input; ``name`` or ``name_c``."""
+        return self.gains.get(name, self.gains.get(f"{name}_c", [[]]))[0]
+
+
+def _bound(text: str) -> fmpq | None:
+    return None if text == "unbounded" else rational(text)
+
+
+def _numbers(text: str) -> list[fmpq]:
+    return [rational(word) for word in text.split()]
+
+
+def _gain(text: str, m: int) -> list[list[fmpq]]:
+    """A vector as one row, a matrix as its rows; one number stands for every channel."""
+    rows = [_numbers(row) for row in re.findall(r"[^\[\]]+", text) if row.strip()]
+    if not text.startswith("[["):
+        if min(rows[0]) <= 0:
+            raise Malformed("a gain is not positive")
+        return [rows[0] * m] if len(rows[0]) == 1 else rows
+    single = len(rows) == len(rows[0]) == 1
+    return [[rows[0][0] * (i == j) for j in range(m)] for i in range(m)] if single else rows
