@@ -179,6 +179,8 @@ def _radius(A: NDArray[np.float64], B: NDArray[np.float64], H: NDArray[np.float6
     n, m = B.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = A * h, B * h
+    if not np.all(np.isfinite(block)):
+        return False
     with np.errstate(all="ignore"):
         exponential = expm(block)
     Ad, Bd = exponential[:n, :n], exponential[:n, n:]
