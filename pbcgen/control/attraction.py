@@ -6,8 +6,8 @@ Minimised over the filter states the Lyapunov function is bounded below by
 
 where e_i is the Moreau envelope of the ln cosh term with the stiffness k of K_c (diagonal here): with z given by
 ``z + (alpha/k) tanh(beta z) = s``, ``e(s) = (alpha/beta) ln cosh(beta z) + alpha^2 tanh(beta z)^2 / (2 k)``. Let X be
-a box around x* in the domain and c a level below W on the boundary of X. Then {x in X, V <= c} cannot be left, and LaSalle's
-argument applies inside: every trajectory converges to x* if no other equilibrium of the closed loop lies in
+a box around x* in the domain and c a level below W on the boundary of X. Then {x in X, V <= c} cannot be left, and
+LaSalle's argument applies inside: every trajectory converges to x* if no other equilibrium of the closed loop lies in
 {x in X, W <= c}. Both statements are decided by branch and bound in ball arithmetic.
 """
 

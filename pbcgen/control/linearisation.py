@@ -25,7 +25,7 @@ from pbcgen.symbolic.tape import Tape
 
 #: How far the scan for the largest sample period goes, as multiples of the design's.
 _SCAN = (1e-3, 1e4)
-_SCAN_RATIO = 1.25
+_SCAN_RATIO = 1.4
 
 
 @dataclass(frozen=True)
@@ -150,11 +150,12 @@ class ClosedLoopSlope:
             bottom = _beside(_product(step.X_m, self.slope.H), step.X_xi)
             return [*top, *bottom]
 
-    def scan(self, h: Fraction) -> float | None:
+    def scan(self, h: Fraction, start: float = 0.0) -> float | None:
         """The smallest sample period, in double precision, at which the sampled loop stops being stable.
 
         A scan upwards over a fine geometric grid, then bisection of the first bad step; None if all are stable, 0 if
-        none is. It is an estimate: the claim `sampled-stable` is decided separately.
+        none is. It is an estimate: the claim `sampled-stable` is decided separately. Periods up to ``start`` are known
+        to be stable and are left out.
         """
         A, B, H = (np.array([[approximate(v) for v in row] for row in m]) for m in _slope_parts(self.slope))
 
@@ -163,7 +164,7 @@ class ClosedLoopSlope:
                 A, B, H, self.step(Fraction(period).limit_denominator(10**12) or Fraction(1, 10**12)), period
             )
 
-        good, period = 0.0, float(h) * _SCAN[0]
+        good, period = start, max(float(h) * _SCAN[0], start * _SCAN_RATIO)
         while period < float(h) * _SCAN[1]:
             if not stable(period):
                 return _bisect(stable, good, period) if good else 0.0
@@ -196,7 +197,7 @@ def _radius(A: NDArray[np.float64], B: NDArray[np.float64], H: NDArray[np.float6
 
 
 def _bisect(stable: object, good: float, bad: float) -> float:
-    for _ in range(20):
+    for _ in range(14):
         middle = (good + bad) / 2
         good, bad = (middle, bad) if stable(middle) else (good, middle)  # type: ignore[operator]
     return good

@@ -607,7 +607,7 @@ def decide(
         spectral = schur(loop.sampled(h))
     start = h / 1000 if delay else Fraction(0)
     found = scan(linear, h * _REACH, delay=delay, start=start, tries=None if sampling.scan else _TRIES)
-    estimate = loop.scan(h) if found.exhausted and not delay else None
+    estimate = loop.scan(h, float(found.stable_to)) if found.exhausted and not delay else None
     varied = jitter(linear, h * (1 - sampling.jitter), h * (1 + sampling.jitter), delay) if sampling.jitter else None
     routes = Routes(h, storage, spectral, found, estimate, varied)
     change = None
