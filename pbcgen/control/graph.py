@@ -15,10 +15,10 @@ from fractions import Fraction
 import casadi as ca
 from flint import fmpq, fmpq_mat
 
+from pbcgen.control.hyperbolic import Tanh, default_tanh
 from pbcgen.control.law import ControlLaw, Fallback, Precision, Signal
 from pbcgen.control.measure import Measurement, Reading, Unreadable
 from pbcgen.control.solves import choose_solves
-from pbcgen.control.tanh import Tanh, default_tanh
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.plant import Plant, Point

@@ -1,13 +1,17 @@
-"""tanh as the generated code computes it: the math library's, or an odd rational function.
+"""tanh and cosh as the generated code computes them: with the math library, or with a few multiplications.
 
-The rational function is ``x P(x^2) / Q(x^2)`` with P and Q of degree 4 (float) or 9 (double), positive coefficients and
+**tanh.** The rational function is ``x P(x^2) / Q(x^2)`` with P and Q of degree 4 (float) or 9 (double), positive coefficients and
 P(0) = Q(0) = 1, and its magnitude is cut at 1. Three properties follow from the form, for any rounding: it is odd, its
 magnitude is at most 1, and a tiny x is returned unchanged. Beyond the interval of the fit the quotient grows, so that
 the cut alone makes it 1 there; where x^2 or P overflow the quotient is NaN, which the cut turns into 1 as well. P and Q
 are sums of positive terms, so that nothing cancels.
 
-``benchmarks/tanh_fit.py`` computes the coefficients, ``benchmarks/tanh_bound.c`` tries all floats. The result is not
-monotone: between neighbouring floats it drops by at most 4.8e-7.
+The result is not monotone: between neighbouring floats it drops by at most 4.8e-7.
+
+**cosh**, in float only. ``v = cosh(x / 64) - 1`` is a polynomial, and ``v <- 2 v (v + 2)`` doubles the argument, six times.
+Nothing cancels. The relative error is at most ``(4 + 2|x|) 2^-23``: like any error of x, it grows with |x|.
+
+``benchmarks/hyperbolic_fit.py`` computes the coefficients, ``benchmarks/hyperbolic_bound.c`` tries all floats.
 """
 
 from __future__ import annotations
@@ -47,6 +51,11 @@ FAST_ULP: Final[dict[Precision, float]] = {"float": 6.0, "double": 12.0}
 FAST_ERROR: Final[dict[Precision, float]] = {"float": 3.6e-7, "double": 1.3e-15}
 
 
+#: cosh(z) - 1 = z^2 (C_0 + C_1 z^2 + ...), and how often the argument is doubled.
+COSH: Final = (0.5, 0.041667041, 0.0013877096, 2.584833e-05)
+DOUBLINGS: Final = 6
+
+
 def default_tanh(precision: Precision) -> Tanh:
     """What a law uses unless told otherwise."""
     return "fast" if precision == "float" else "libm"
@@ -67,6 +76,21 @@ def fast_tanh_of_magnitude(r: NDArray[Any]) -> NDArray[Any]:
     p, q = _horner(NUMERATOR[working], y), _horner(DENOMINATOR[working], y)
     quotient = r * p / q
     result: NDArray[Any] = np.where(quotient < one, quotient, one)
+    return result
+
+
+def fast_cosh(x: NDArray[Any]) -> NDArray[Any]:
+    """The cosh of doubled arguments, elementwise, with the operations of the C in their order."""
+    real = x.dtype.type
+    z = x * real(0.5**DOUBLINGS)
+    y = z * z
+    v = np.full_like(y, real(COSH[-1]))
+    for coefficient in reversed(COSH[:-1]):
+        v = v * y + real(coefficient)
+    v = v * y
+    for _ in range(DOUBLINGS):
+        v = (v + v) * (v + real(2))
+    result: NDArray[Any] = v + real(1)
     return result
 
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Literal
 from pbcgen.symbolic.tape import Tape
 
 if TYPE_CHECKING:
-    from pbcgen.control.tanh import Tanh
+    from pbcgen.control.hyperbolic import Tanh
 
 Precision = Literal["float", "double"]
 
@@ -113,7 +113,7 @@ class ControlLaw:
         equilibrium_output: -kappa, inside ``intervals``; also the initial "last valid output".
         fallback: the output for non-finite inputs.
         ranges: for each input the declared range (lo, hi), where there is one; documentation, not a check.
-        tanh: how the code computes tanh; see :mod:`pbcgen.control.tanh`.
+        tanh: how the code computes tanh; see :mod:`pbcgen.control.hyperbolic`.
     """
 
     name: str

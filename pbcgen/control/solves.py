@@ -13,7 +13,7 @@ from pbcgen.control.rounding import nearest
 from pbcgen.control.taylor import taylor_solve
 
 if TYPE_CHECKING:
-    from pbcgen.control.tanh import Tanh
+    from pbcgen.control.hyperbolic import Tanh
     from pbcgen.symbolic.tape import Tape
 
 #: The block solve stops here at the latest; see the description of the step for its globalisation.

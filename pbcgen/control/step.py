@@ -22,7 +22,7 @@ place of a held value that is not in its interval. The C tests first whether the
 measurements is at most STATE_LIMIT^2, and looks for the reason only if it is not: the sum is above that limit, or NaN,
 whenever 1 or 2 applies.
 
-tanh is the math library's or the rational function of :mod:`pbcgen.control.tanh`, as the law says.
+tanh and cosh are the math library's or those of :mod:`pbcgen.control.hyperbolic`, as the law says.
 
 Scalar solve: s + mu tanh(s) = c
 --------------------------------
@@ -55,15 +55,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from pbcgen.control.hyperbolic import fast_cosh, fast_tanh
 from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, Taylor, VectorSolve
 from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
-from pbcgen.control.tanh import fast_tanh
 from pbcgen.control.taylor import start_at, taylor_step
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbcgen.control.tanh import Tanh
+    from pbcgen.control.hyperbolic import Tanh
 
 Array = NDArray[Any]
 
@@ -322,7 +322,7 @@ class NumpyAlgebra:
     def __init__(self, precision: Precision, tanh: Tanh = "libm") -> None:
         self._precision = precision
         self._dtype = DTYPES[precision]
-        self._operations = _OPERATIONS | ({"tanh": fast_tanh} if tanh == "fast" else {})
+        self._operations = _OPERATIONS | _fast_operations(precision, tanh)
 
     def const(self, value: Fraction) -> Any:
         """The nearest number of the precision; EmitError if it overflows or vanishes."""
@@ -339,6 +339,13 @@ class NumpyAlgebra:
             return np.asarray(function(*operands)).astype(dtype, copy=False)
 
         return apply
+
+
+def _fast_operations(precision: Precision, tanh: Tanh) -> dict[str, Callable[..., Any]]:
+    """The operations that do not come from the math library."""
+    if tanh == "libm":
+        return {}
+    return {"tanh": fast_tanh} | ({"cosh": fast_cosh} if precision == "float" else {})
 
 
 def _sign(x: Any) -> Any:

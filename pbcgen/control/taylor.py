@@ -29,9 +29,9 @@ import numpy as np
 from flint import arb, arb_series, ctx
 from numpy.typing import NDArray
 
+from pbcgen.control.hyperbolic import fast_tanh_of_magnitude
 from pbcgen.control.law import Start, Taylor
 from pbcgen.control.rounding import nearest
-from pbcgen.control.tanh import fast_tanh_of_magnitude
 from pbcgen.errors import EmitError
 from pbcgen.symbolic.real import precision, rational
 

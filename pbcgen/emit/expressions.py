@@ -107,7 +107,7 @@ FORMS: Final[dict[str, Form]] = {
     "atan": _call("atan"),
     "atan2": _call2("atan2"),
     "sinh": _call("sinh"),
-    "cosh": _call("cosh"),
+    "cosh": Form("{p}_cosh({0})", helper="cosh"),
     "tanh": Form("{p}_tanh({0})", helper="tanh"),
     "asinh": _call("asinh"),
     "acosh": _call("acosh"),
@@ -133,10 +133,17 @@ FORMS: Final[dict[str, Form]] = {
     "fmax": _call2("fmax"),
 }
 
+#: fmin and fmax with a literal as {1}: the same values, NaN included, without a call.
+_FORMS: Final = FORMS | {
+    "least": Form("({0} < {1}) ? {0} : {1}", Level.SELECTION, (Level.SUM, Level.SUM)),
+    "largest": Form("({0} > {1}) ? {0} : {1}", Level.SELECTION, (Level.SUM, Level.SUM)),
+}
+
 #: Operations whose value is their first operand.
 PASSING: Final = ("assign", "assign_first")
 
 _OPPOSITE: Final = {"add": "sub", "sub": "add"}
+_WITH_LITERAL: Final = {"fmin": "least", "fmax": "largest"}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -179,6 +186,9 @@ class Graph:
         if operation in _OPPOSITE and operands[1].value is not None and operands[1].value < 0:
             # a + (-2) is a - 2, bit for bit
             operation, operands = _OPPOSITE[operation], (operands[0], self.const(-operands[1].value))
+        if operation in _WITH_LITERAL and any(operand.value is not None for operand in operands):
+            first, last = sorted(operands, key=lambda operand: operand.value is not None)
+            operation, operands = _WITH_LITERAL[operation], (first, last)
         return self._unique((operation, *map(id, operands)), Node(operation, operands))
 
     def _unique(self, key: object, node: Node) -> Node:
@@ -244,11 +254,11 @@ class Printer:
         self._uses = Counter(id(root) for root in roots)
         for node in nodes:
             for k, operand in enumerate(node.operands):
-                self._uses[id(operand)] += FORMS[node.operation].uses(k)
+                self._uses[id(operand)] += _FORMS[node.operation].uses(k)
         self._printed: dict[int, _Text] = {}
         self._names = 0
         #: Functions of the package that the printed code calls.
-        self.helpers = frozenset(FORMS[n.operation].helper for n in nodes if n.operation in FORMS) - {""}
+        self.helpers = frozenset(_FORMS[n.operation].helper for n in nodes if n.operation in _FORMS) - {""}
 
     def stage(self, roots: Sequence[Node]) -> tuple[tuple[Statement, ...], tuple[str, ...]]:
         """The statements that compute what ``roots`` need and is not computed yet, and the text of each root."""
@@ -273,7 +283,7 @@ class Printer:
             return _Text(text, Level.SIGN if text.startswith("-") else Level.ATOM)
         if node.operation == "name":
             return _Text(node.text, Level.ATOM)
-        form = FORMS[node.operation]
+        form = _FORMS[node.operation]
         operands = [self._printed[id(operand)] for operand in node.operands]
         texts = [
             operand.condition_at(form.needs[k], self._words["zero"])

@@ -8,10 +8,10 @@ from fractions import Fraction
 
 import numpy as np
 
+from pbcgen.control.hyperbolic import COSH, DENOMINATOR, DOUBLINGS, FAST_ERROR, FAST_ULP, NUMERATOR
 from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, Signal, Taylor, VectorSolve
 from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
 from pbcgen.control.step import channels_to_check, check_solves, equilibrium_output
-from pbcgen.control.tanh import DENOMINATOR, FAST_ERROR, FAST_ULP, NUMERATOR
 from pbcgen.emit.expressions import Graph, Node, Printer, Statement
 from pbcgen.emit.identifiers import Scope
 from pbcgen.emit.literals import literal
@@ -112,6 +112,7 @@ def constants_of(precision: Precision) -> Constants:
         half=real("0.5"),
         one=real("1"),
         largest=literal(np.finfo(DTYPES[precision]).max),
+        two=real("2"),
         third=real("1/3"),
         state_limit=literal(nearest(STATE_LIMIT[precision], precision)),
         square_limit=literal(nearest(STATE_LIMIT[precision] ** 2, precision)),
@@ -181,6 +182,9 @@ def _fast_tanh(precision: Precision) -> FastTanh:
         texts(DENOMINATOR[precision]),
         f"{FAST_ULP[precision]:g}",
         f"{FAST_ERROR[precision]:g}",
+        texts(COSH) if precision == "float" else (),
+        texts((0.5**DOUBLINGS,))[0] if precision == "float" else "",
+        DOUBLINGS,
     )
 
 

@@ -21,6 +21,7 @@ class Constants:
     zero: str
     half: str
     one: str
+    two: str
     third: str
     largest: str
     state_limit: str
@@ -90,12 +91,18 @@ class TaylorFunction:
 
 @dataclass(frozen=True)
 class FastTanh:
-    """Coefficients of the rational tanh from the highest down, without the constants; its error."""
+    """Coefficients of the rational tanh from the highest down, without the constants; its error.
+
+    ``cosh`` has those of cosh(z) - 1, ``shrink`` is z/x; both are empty where cosh comes from the math library.
+    """
 
     numerator: tuple[str, ...]
     denominator: tuple[str, ...]
     ulp: str
     error: str
+    cosh: tuple[str, ...]
+    shrink: str
+    doublings: int
 
 
 @dataclass(frozen=True)

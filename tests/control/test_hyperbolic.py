@@ -1,4 +1,4 @@
-"""The rational tanh against the true one, in every magnitude."""
+"""The rational tanh and the doubled cosh against the true ones, in every magnitude."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flint import arb
 
-from pbcgen.control.tanh import FAST_ERROR, FAST_ULP, default_tanh, fast_tanh
+from pbcgen.control.hyperbolic import FAST_ERROR, FAST_ULP, default_tanh, fast_cosh, fast_tanh
 
 PRECISIONS = pytest.mark.parametrize(("precision", "dtype"), [("float", np.float32), ("double", np.float64)])
 
@@ -55,3 +55,18 @@ def test_large_arguments_give_one_and_tiny_ones_themselves(precision, dtype):
 
 def test_float_is_fast_by_default_and_double_is_not():
     assert (default_tanh("float"), default_tanh("double")) == ("fast", "libm")
+
+
+def test_cosh_is_even_and_within_its_bound_up_to_overflow():
+    x = np.linspace(-88.7, 88.7, 100_001).astype(np.float32)
+    found = fast_cosh(x)
+    np.testing.assert_array_equal(found, fast_cosh(-x))
+    error = np.abs(found / np.cosh(x.astype(np.float64)) - 1)
+    assert (error <= (4 + 2 * np.abs(x)) * 2.0**-23).all()
+    assert (found >= 1).all()
+
+
+def test_cosh_overflows_to_infinity_and_keeps_nan():
+    with np.errstate(all="ignore"):
+        found = fast_cosh(np.array([0, 100, -1e30, np.inf, np.nan], np.float32))
+    np.testing.assert_array_equal(found, [1, np.inf, np.inf, np.inf, np.nan])

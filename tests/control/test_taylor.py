@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from flint import arb
 
+from pbcgen.control.hyperbolic import fast_tanh
 from pbcgen.control.law import Start
 from pbcgen.control.step import solve_scalar
-from pbcgen.control.tanh import fast_tanh
 from pbcgen.control.taylor import TOLERANCE, certified_error, taylor_solve
 
 MUS = [4.8e-5, 1.1e-3, 0.0132, 0.136, 0.5, 1.0, 3.0, 10.0, 90.75, 700.0]

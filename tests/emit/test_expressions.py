@@ -51,12 +51,14 @@ def compile_functions(tapes: list[Tape], precision: str, directory) -> list:
         f"static {precision} p_tanh({precision} x);",
         f"static {precision} p_tanh({precision} x) {{ return tanh{f}(x); }}",
         fill("erfinv.c.j2", context),
+        fill("cosh.c.j2", context | {"fast_tanh": None}),
         function_text(Tape.of([ca.SX.sym("x", SIZE)], [ca.SX(0)]), "unused", precision),
-        f"{precision} use({precision} x);\n{precision} use({precision} x) {{ return p_tanh(p_erfinv(x)); }}",
+        f"{precision} use({precision} x);\n{precision} use({precision} x) {{ return p_tanh(p_erfinv(p_cosh(x))); }}",
     ]
     functions = [function_text(tape, f"f{k}", precision) for k, tape in enumerate(tapes)]
     source.write_text("#include <math.h>\n" + "\n".join(helpers + functions))
-    flags = ["-std=c99", "-O1", "-ffp-contract=off", "-shared", "-fPIC"]
+    # without builtins: a compiler that knows an argument computes the function itself, to another last bit
+    flags = ["-std=c99", "-O1", "-ffp-contract=off", "-fno-builtin", "-shared", "-fPIC"]
     run([*compiler(), *flags, *WARNINGS, str(source), "-o", str(library), "-lm"])
     ffi = cffi.FFI()
     ffi.cdef("".join(f"void f{k}(const {precision} *, {precision} *);" for k in range(len(tapes))))
@@ -238,7 +240,7 @@ def test_a_value_used_twice_gets_a_name():
 
 def test_float_code_has_float_literals_and_float_functions():
     assert printed(ca.atan2(X[0], 0.1) + ca.fmin(X[1], 3), X, "float") == [
-        "y[0] = atan2f(x[0], 0.1f) + fminf(x[1], 3.0f);"
+        "y[0] = atan2f(x[0], 0.1f) + ((x[1] < 3.0f) ? x[1] : 3.0f);"
     ]
 
 
