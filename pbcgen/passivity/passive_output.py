@@ -11,18 +11,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
+from itertools import chain
 
 import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.factor import Coefficients
 from pbcgen.passivity.integrate import Curl, curl, potential
-from pbcgen.passivity.plant import Plant, columns, dot
+from pbcgen.passivity.obstruction import Obstruction, obstruction
+from pbcgen.passivity.plant import Plant, Point, columns, dot
+from pbcgen.passivity.region import Region, search_with_inputs
 from pbcgen.passivity.structure import PowerStructure
+from pbcgen.proof.branch import Budget
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.nonnegative import nonnegative, semidefinite
+from pbcgen.proof.nonnegative import Prover, semidefinite
+from pbcgen.proof.sos import coefficients, squares_tried, sum_of_squares
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows, solve
+from pbcgen.symbolic.real import rational, sign, text
+
+#: gamma is sought by semidefinite programming for systems with at most so many states times inputs.
+_MOST_SYNTHESISED = 8
+#: Relative tolerances with which its coefficients are rounded.
+_TOLERANCES = (1e-3, 1e-6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +147,6 @@ def _ansatz(plant: Plant) -> Iterator[_Candidate]:
         row = _combination(plant, field, drift.column(zero), inputs.dense(zero), wanted.column(zero)[i])
         if row is None:
             return
-        [s for column in plant.symbols for s in ca.vertsplit(column)]
         parts.append(sum((plant.expression(c) * functions[k] for k, c in row.items()), ca.SX(0)))
     yield _Candidate("basis ansatz with w = 0", ca.vertcat(*parts))
 
@@ -145,7 +156,6 @@ def _basis(plant: Plant) -> list[ca.SX]:
     x = ca.vertsplit(plant.system.x)
     products = [x[i] * x[j] for i in range(len(x)) for j in range(i, len(x))] if len(x) <= 12 else []
     field, _ = plant.exact(plant.system.f, plant.system.g, plant.system.S, symbolic=True)
-    [s for column in plant.symbols for s in ca.vertsplit(column)]
     parameters = plant.parameter_positions()
     atoms = [
         plant.expression(field.symbol(k))
@@ -183,33 +193,97 @@ def _combination(
 
 
 def find(
-    plant: Plant, structure: PowerStructure | None, storage_proved: bool, structure_proved: bool
+    plant: Plant,
+    structure: PowerStructure | None,
+    storage_proved: bool,
+    structure_proved: bool,
+    region: Region | None = None,
+    point: Point | None = None,
 ) -> PassiveOutput | Claim:
-    """The first gamma that is proved to give a passive output, else the verdict that says what was tried."""
+    """The first gamma that is proved to give a passive output, else the verdict that says what was tried.
+
+    Args:
+        plant: the system.
+        structure: a power structure whose identity holds, or None.
+        storage_proved: whether Assumption 1 is proved.
+        structure_proved: whether the dissipation of the structure is proved nonnegative.
+        region: where Assumption 1 holds; the whole space if not given.
+        point: the equilibrium, to say whether its dissipation forces w != 0.
+    """
+    where = region or Region.whole(plant)
     tried: list[str] = []
     obstacles: list[_Obstacle] = []
-    unproved: _Candidate | None = None
+    unproved: list[_Candidate] = []
     try:
-        for candidate in _candidates(plant, structure):
+        for candidate in chain(_candidates(plant, structure), _synthesised(plant, storage_proved)):
             if isinstance(candidate, _Obstacle):
                 obstacles.append(candidate)
                 tried.append(f"{candidate.strategy}: not integrable")
                 continue
-            method = prove(plant, structure, candidate.gamma, storage_proved, structure_proved)
+            method = prove(plant, structure, candidate.gamma, storage_proved, structure_proved, where)
             if method is not None:
-                claim = _proved(candidate, method)
+                claim = _proved(candidate, method, where, _forced(plant, point))
                 return PassiveOutput(candidate.gamma, candidate.strategy, claim, method.startswith("structure"))
             tried.append(f"{candidate.strategy}: Z(x) >= 0 not proved")
-            unproved = unproved or candidate
+            unproved.append(candidate)
     except (UnsupportedOperation, ZeroDivisionError) as reason:
         tried.append(str(reason))
-    if unproved is not None:
-        return PassiveOutput(unproved.gamma, unproved.strategy, _unproved(unproved, storage_proved), False)
-    return _none(plant, tried, obstacles)
+    if unproved:
+        claim = _refuted_gamma(plant, unproved[0], where) or _unproved(unproved[0], storage_proved, where)
+        return PassiveOutput(unproved[0].gamma, unproved[0].strategy, claim, False)
+    return _impossible(plant, obstruction(plant)) or _none(plant, tried, obstacles, _forced(plant, point))
+
+
+def _forced(plant: Plant, point: Point | None) -> str:
+    """The dissipation obstacle, if there is one: l* != 0 leaves no gamma with w = 0 near x*."""
+    if point is None:
+        return ""
+    ((row,),) = plant.at(point, -ca.dot(plant.gradient, plant.system.f))
+    return "" if sign(row[0]) != 1 else f"dissipation at x* is {text(row[0], 6)} > 0, so w != 0 is needed"
+
+
+def _synthesised(plant: Plant, storage_proved: bool) -> Iterator[_Candidate]:
+    """gamma in a basis, with coefficients for which Z(x) >= 0 seems to be a matrix sum of squares; w may be nonzero."""
+    system = plant.system
+    if system.gamma is not None or not storage_proved or system.n * system.m > _MOST_SYNTHESISED:
+        return
+    functions = _basis(plant)
+    rates = ca.mtimes(ca.jacobian(ca.vertcat(*functions), system.x), system.xdot)
+    loss = -ca.dot(plant.gradient, system.xdot)
+    directions = ca.vertcat(*[system.u[i] * rates for i in range(system.m)])
+    field, (base, offered) = plant.exact(loss, directions)
+    zero = field.const(0)
+    quotients = [base.scalar(zero), *offered.column(zero)]
+    if not all(q.is_polynomial() for q in quotients):
+        return
+    found = coefficients(field, quotients[0].numerator, [q.numerator for q in quotients[1:]])
+    if found is None:
+        return
+    largest = max(abs(c) for c in found)
+    for tolerance in _TOLERANCES:
+        simple = [_simplest(c, tolerance * max(abs(c), 1e-3 * largest)) for c in found]
+        rows = [simple[i * len(functions) : (i + 1) * len(functions)] for i in range(system.m)]
+        gamma = [sum((plant.number(c) * f for c, f in zip(row, functions, strict=True) if c), ca.SX(0)) for row in rows]
+        yield _Candidate("basis ansatz, Z(x) as a matrix sum of squares", ca.vertcat(*gamma))
+
+
+def _simplest(value: float, tolerance: float) -> Fraction:
+    """The fraction with the least denominator within the tolerance, roughly."""
+    exact = Fraction(value)
+    for digits in range(16):
+        candidate = exact.limit_denominator(10**digits)
+        if abs(candidate - exact) <= tolerance:
+            return candidate
+    return exact
 
 
 def prove(
-    plant: Plant, structure: PowerStructure | None, gamma: ca.SX, storage_proved: bool, structure_proved: bool
+    plant: Plant,
+    structure: PowerStructure | None,
+    gamma: ca.SX,
+    storage_proved: bool,
+    structure_proved: bool,
+    region: Region | None = None,
 ) -> str | None:
     """How ``Z(x) >= 0`` was proved for this gamma, or None.
 
@@ -219,8 +293,10 @@ def prove(
         structure: a power structure whose identity holds, or None.
         storage_proved: whether Assumption 1 is proved.
         structure_proved: whether its dissipation B >= 0 is proved, so that it may be used for u != 0.
+        region: where Assumption 1 is proved, and Z(x) >= 0 is wanted; the whole space if not given.
     """
     system = plant.system
+    where = region or Region.whole(plant)
     if not storage_proved:
         return None
     psi = ca.jacobian(gamma, system.x).T
@@ -241,7 +317,22 @@ def prove(
         and _matched(structure, psi_columns, g_columns, shape.dense(zero), rest.column(zero), zero)
     ):
         return f"structure: grad gamma = {'-F^-1 g' if structure.form == 'F' else '-A g'}"
-    return _direct(psi_columns, g_columns, drift, gradient, zero)
+    direct = _direct(psi_columns, g_columns, drift, gradient, zero, where.prover(Budget()))
+    return direct or _by_squares(plant, gamma, where)
+
+
+def _balance(plant: Plant, gamma: ca.SX) -> ca.SX:
+    """``u^T gamma' - S'``, which is [1, u]^T Z [1, u]."""
+    system = plant.system
+    rate = ca.mtimes(ca.jacobian(gamma, system.x), system.xdot)
+    return ca.dot(system.u, rate) - ca.dot(plant.gradient, system.xdot)
+
+
+def _by_squares(plant: Plant, gamma: ca.SX, region: Region) -> str | None:
+    """Z(x) >= 0 as a matrix sum of squares."""
+    field, (value,) = plant.exact(_balance(plant, gamma))
+    found = sum_of_squares(value.scalar(field.const(0)), dict(enumerate(region.bounds)))
+    return f"Z(x) is a matrix sum of squares, checked exactly; sizes of the matrices {found}" if found else None
 
 
 def _matched(
@@ -268,8 +359,9 @@ def _direct(
     f: list[Quotient],
     e: list[Quotient],
     zero: Quotient,
+    prover: Prover,
 ) -> str | None:
-    """Z >= 0 as a matrix of functions."""
+    """Z >= 0 as a matrix of functions; its corner is the dissipation, which Assumption 1 makes nonnegative."""
     m = len(psi)
     half = zero.field.const(1) / zero.field.const(2)
     corner = -dot(e, f, zero)
@@ -277,31 +369,68 @@ def _direct(
     feedthrough = [[dot(psi[i], g[j], zero) for j in range(m)] for i in range(m)]
     block = [[(feedthrough[i][j] + feedthrough[j][i]) * half for j in range(m)] for i in range(m)]
     if all(entry.is_zero() for entry in border):
-        return "exact algebra: Z block diagonal" if semidefinite(block) else None
+        return "exact algebra: Z block diagonal" if semidefinite(block, prover=prover) else None
     Z = [[corner, *border], *[[border[i], *block[i]] for i in range(m)]]
-    return "exact algebra: Z(x) >= 0 by elimination" if nonnegative(corner) and semidefinite(Z) else None
+    return "exact algebra: Z(x) >= 0 by elimination" if semidefinite(Z, prover=prover) else None
 
 
 # --- verdicts ----------------------------------------------------------------------------------------------------
 
 
-def _proved(candidate: _Candidate, method: str) -> Claim:
-    return Claim("passive-output", Status.PROVED, "all x", method, f"gamma found: {candidate.strategy}")
+def _proved(candidate: _Candidate, method: str, region: Region, forced: str) -> Claim:
+    evidence = f"gamma found: {candidate.strategy}" + (f"; {forced}" if forced else "")
+    return Claim("passive-output", Status.PROVED, region.text, method, evidence)
 
 
-def _unproved(candidate: _Candidate, storage_proved: bool) -> Claim:
+def _refuted_gamma(plant: Plant, candidate: _Candidate, region: Region) -> Claim | None:
+    """A gamma that the user gave, and a state and input for which more is stored than supplied; else None."""
+    if plant.system.gamma is None:
+        return None
+    balance = _balance(plant, candidate.gamma)
+    names = (*plant.system.state_names, *plant.system.input_names)
+    found = search_with_inputs(plant, region, balance)
+    if found.point is None or found.value is None:
+        return None
+    values = {name: text(rational(v), 25) for name, v in zip(names, found.point, strict=True)}
+    return Claim(
+        "passive-output",
+        Status.REFUTED,
+        region.text,
+        "ball arithmetic at a rational point",
+        f"with the given gamma u^T gamma' - S' = {text(found.value, 6)} < 0: Z(x) is not positive semidefinite",
+        "leave gamma out to have it derived, or check its signs",
+        {"x": values, "u^T gamma' - S'": text(found.value, 9)},
+    )
+
+
+def _unproved(candidate: _Candidate, storage_proved: bool, region: Region) -> Claim:
     why = "Z(x) >= 0 was not proved" if storage_proved else "assumption-1 is not proved, and it is part of Z(x) >= 0"
     return Claim(
         "passive-output",
         Status.UNDECIDED,
-        "all x",
-        "exact algebra",
+        region.text,
+        "exact algebra" + squares_tried(),
         f"candidate gamma: {candidate.strategy}; {why}",
         "check the storage and the signs of the dissipation" if not storage_proved else "give gamma with the model",
     )
 
 
-def _none(plant: Plant, tried: list[str], obstacles: list[_Obstacle]) -> Claim:
+def _impossible(plant: Plant, found: Obstruction | None) -> Claim | None:
+    """The verdict when it is proved that no gamma exists."""
+    if found is None or plant.system.gamma is not None:
+        return None
+    return Claim(
+        "passive-output",
+        Status.REFUTED,
+        "all x",
+        "necessary conditions where f = 0, exactly; witness in ball arithmetic",
+        found.reason,
+        "choose another storage or input; no gamma fits this one, whatever w",
+        {"x": found.point, "value": found.value},
+    )
+
+
+def _none(plant: Plant, tried: list[str], obstacles: list[_Obstacle], forced: str) -> Claim:
     evidence = "no gamma found; tried " + ("; ".join(tried) if tried else "every strategy")
     hint = "give gamma=... with the model, or measure and use another output"
     if obstacles:
@@ -311,4 +440,6 @@ def _none(plant: Plant, tried: list[str], obstacles: list[_Obstacle]) -> Claim:
             f"; the gradient from {first.strategy} has d psi_{names[first.curl.i]}/d{names[first.curl.j]} "
             f"!= d psi_{names[first.curl.j]}/d{names[first.curl.i]}"
         )
+    if forced:
+        evidence += f"; {forced} (dissipation obstacle)"
     return Claim("passive-output", Status.UNDECIDED, "all x", "strategies for gamma", evidence, hint)

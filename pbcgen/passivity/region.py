@@ -86,6 +86,20 @@ def search(plant: Plant, region: Region, value: ca.SX, scale: ca.SX) -> Search:
     return refute(Question(numeric, x, exact, region.bounds, size))
 
 
+def search_with_inputs(plant: Plant, region: Region, value: ca.SX) -> Search:
+    """Look for a state of the region and an input with ``value < 0``."""
+    system = plant.system
+    numeric = plant.numeric(value)(system.x, system.u)
+    tape = plant.tape(value)
+
+    def exact(point: Sequence[Real]) -> Real:
+        with precision(BITS):
+            return plant.walk(tape, point[: system.n], point[system.n :])[0][0][0]
+
+    bounds = (*region.bounds, *(((None, None),) * system.m))
+    return refute(Question(numeric, ca.vertcat(system.x, system.u), exact, bounds))
+
+
 def undefined(field: Field, prover: Prover, states: int) -> list[str]:
     """Conditions for the formulas of a field to be defined and smooth that were not proved: none if all were."""
     one = field.const(1)

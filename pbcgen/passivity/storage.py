@@ -101,7 +101,8 @@ def _attempts(
     if power is not None and len(power.numerator) <= _MOST_TERMS:
         squares = sum_of_squares(-power, dict(enumerate(region.bounds)))
         if squares is not None:
-            yield _proved(region, "sum of squares, found by semidefinite programming and checked exactly", squares)
+            evidence = f"-grad S^T f is a sum of squares; sizes of the matrices {squares}"
+            yield _proved(region, "sum of squares, found by semidefinite programming and checked exactly", evidence)
     if region.is_whole:
         return
     for share, attempt in ((2, _on_box), (4, _by_exact_function), (4, _by_matrix)):

@@ -79,7 +79,7 @@ def squares_tried() -> str:
 
 
 def sum_of_squares(function: Quotient, bounds: Mapping[int, Interval]) -> str | None:
-    """Evidence that ``function >= 0`` where the symbols lie in ``bounds``, or None if no proof was found."""
+    """Sizes of the matrices of a proof that ``function >= 0`` where the symbols lie in ``bounds``; None without one."""
     if not available():
         return None
     polynomial = function.numerator
@@ -88,8 +88,7 @@ def sum_of_squares(function: Quotient, bounds: Mapping[int, Interval]) -> str | 
     found = find(function.field, function.field.polynomial(polynomial).numerator, bounds)
     if found is None or not found.holds(function.field):
         return None
-    sizes = " + ".join(str(len(block.basis)) for block in found.blocks)
-    return f"-grad S^T f is a sum of squares; sizes of the matrices {sizes}"
+    return " + ".join(str(len(block.basis)) for block in found.blocks)
 
 
 # --- what the sum may consist of ----------------------------------------------------------------------------------
@@ -187,8 +186,13 @@ class _Equations:
         return found
 
 
-def _pruned(field: Field, polynomial: fmpq_mpoly, parts: list[Block]) -> tuple[list[Block], _Equations] | None:
-    """Blocks without basis elements whose squares cannot occur."""
+def _pruned(
+    field: Field, polynomial: fmpq_mpoly, parts: list[Block], complete: bool = True
+) -> tuple[list[Block], _Equations] | None:
+    """Blocks without basis elements whose squares cannot occur; None when the problem is too large.
+
+    If ``complete``, None also when a monomial of the polynomial cannot be produced.
+    """
     while True:
         parts = [block for block in parts if block.basis]
         if sum(len(block.basis) * (len(block.basis) + 1) // 2 for block in parts) > _LARGEST_PROBLEM:
@@ -196,7 +200,7 @@ def _pruned(field: Field, polynomial: fmpq_mpoly, parts: list[Block]) -> tuple[l
             if sum(len(block.basis) for block in parts) > _LARGEST_BASIS:
                 return None
         equations = _Equations.of(field, polynomial, parts)
-        if not equations.possible or len(equations.rows) > _MOST_EQUATIONS:
+        if (complete and not equations.possible) or len(equations.rows) > _MOST_EQUATIONS:
             return None
         gone = equations.vanishing()
         if not gone:
@@ -223,7 +227,7 @@ def find(field: Field, polynomial: fmpq_mpoly, bounds: Mapping[int, Interval]) -
         solved = _solve(equations, parts)
         if solved is None:
             return None
-        grams, margin = solved
+        grams, margin, _ = solved
         exact = _rounded(equations, parts, grams)
         if exact is not None:
             return SumOfSquares(polynomial, tuple(parts), tuple(exact))
@@ -234,6 +238,26 @@ def find(field: Field, polynomial: fmpq_mpoly, bounds: Mapping[int, Interval]) -
             return None
         parts = reduced
     return None
+
+
+def coefficients(field: Field, base: fmpq_mpoly, directions: Sequence[fmpq_mpoly]) -> list[float] | None:
+    """Numbers c, in floating point, for which ``base + sum c_k directions_k`` seems to be a sum of squares, or None.
+
+    They are a proposal: round them and prove the result.
+    """
+    if not available() or not directions:
+        return None
+    support = field.context.constant(0)
+    for index, part in enumerate((base, *directions)):
+        support += field.context.from_dict({e: fmpq(1) for e in part.to_dict()}) * (index + 1)
+    pruned = _pruned(field, support, blocks(field, support, {}), complete=False)
+    if pruned is None:
+        return None
+    parts, equations = pruned
+    rows = {**{key: {} for key in equations.wanted}, **equations.rows}
+    terms = [{tuple(int(v) for v in e): c for e, c in part.to_dict().items()} for part in (base, *directions)]
+    solved = _solve(_Equations(rows, terms[0]), parts, terms[1:])
+    return None if solved is None else [float(c) for c in solved[2]]
 
 
 def _scales(equations: _Equations, parts: Sequence[Block]) -> list[Floats]:
@@ -253,8 +277,13 @@ def _scales(equations: _Equations, parts: Sequence[Block]) -> list[Floats]:
     return result
 
 
-def _solve(equations: _Equations, parts: Sequence[Block]) -> tuple[list[Floats], float] | None:
-    """Matrices in floating point with the largest least eigenvalue (of the scaled ones), and that eigenvalue."""
+def _solve(
+    equations: _Equations, parts: Sequence[Block], free: Sequence[Mapping[Exponents, fmpq]] = ()
+) -> tuple[list[Floats], float, Floats] | None:
+    """Matrices in floating point with the largest least eigenvalue (of the scaled ones), and that eigenvalue.
+
+    With ``free`` the wanted polynomial is ``wanted + sum c_k free_k``; the c are the third part of the result.
+    """
     import clarabel
     from scipy.sparse import coo_matrix, csc_matrix
 
@@ -265,16 +294,19 @@ def _solve(equations: _Equations, parts: Sequence[Block]) -> tuple[list[Floats],
             for i in range(j + 1):
                 column[b, i, j] = len(column)
     count = len(column)
+    width = count + 1 + len(free)
     entries: list[tuple[int, int, float]] = []
     right: list[float] = []
-    largest = max(abs(float(fraction(c))) for c in equations.wanted.values())
+    largest = max((abs(float(fraction(c))) for c in equations.wanted.values()), default=1.0)
     for r, (key, row) in enumerate(sorted(equations.rows.items())):
         values = {
             column[b, i, j]: float(fraction(c)) * scales[b][i] * scales[b][j] / (1 if i == j else np.sqrt(2.0))
             for (b, i, j), c in row.items()
         }
-        weight = max(abs(v) for v in values.values())
+        others = {count + 1 + k: -float(fraction(part[key])) for k, part in enumerate(free) if key in part}
+        weight = max((abs(v) for v in (*values.values(), *(v / largest for v in others.values()))), default=1.0)
         entries += [(r, k, v / weight) for k, v in values.items()]
+        entries += [(r, k, v / largest / weight) for k, v in others.items()]
         right.append(float(fraction(equations.wanted.get(key, fmpq(0)))) / largest / weight)
     offset = len(right)
     entries += [(offset, count, 1.0)]
@@ -285,26 +317,24 @@ def _solve(equations: _Equations, parts: Sequence[Block]) -> tuple[list[Floats],
             entries.append((offset + 1 + k, count, 1.0))
         right.append(0.0)
     rows, columns, data = zip(*entries, strict=True)
-    matrix = csc_matrix(coo_matrix((data, (rows, columns)), shape=(len(right), count + 1)))
+    matrix = csc_matrix(coo_matrix((data, (rows, columns)), shape=(len(right), width)))
     cones: list[Any] = [clarabel.ZeroConeT(offset), clarabel.NonnegativeConeT(1)]
     cones += [clarabel.PSDTriangleConeT(len(block.basis)) for block in parts]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_iter = 100
     settings.max_threads = 1
-    aim = np.zeros(count + 1)
-    aim[-1] = -1.0
-    solution = clarabel.DefaultSolver(
-        csc_matrix((count + 1, count + 1)), aim, matrix, np.array(right), cones, settings
-    ).solve()
+    aim = np.zeros(width)
+    aim[count] = -1.0
+    solution = clarabel.DefaultSolver(csc_matrix((width, width)), aim, matrix, np.array(right), cones, settings).solve()
     x = np.array(solution.x)
-    if len(x) != count + 1 or not np.all(np.isfinite(x)) or x[-1] < -1e-4:
+    if len(x) != width or not np.all(np.isfinite(x)) or x[count] < -1e-4:
         return None
     grams = [np.zeros((len(block.basis), len(block.basis))) for block in parts]
     for (b, i, j), k in column.items():
         value = x[k] * scales[b][i] * scales[b][j] * largest / (1 if i == j else np.sqrt(2.0))
         grams[b][i, j] = grams[b][j, i] = value
-    return grams, float(x[-1])
+    return grams, float(x[count]), x[count + 1 :]
 
 
 def _rounded(equations: _Equations, parts: Sequence[Block], grams: Sequence[Floats]) -> list[list[list[fmpq]]] | None:

@@ -1,0 +1,220 @@
+"""Proofs that no gamma exists for a storage, whatever w and D.
+
+Where f = 0 and the dissipation vanishes to second order in the directions d, Z(x) >= 0 forces, for each input i,
+
+    d^T (df/dx)^T grad gamma_i = d^T grad (g_i^T grad S),   and  g_i^T grad S = 0.
+
+On a set of such equilibria x_V = 0 these linear equations may have no solution, or may determine the gradient of gamma
+along the set, which then needs a symmetric Jacobian there. Both are decided exactly; the witness is checked in balls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import casadi as ca
+
+from pbcgen.errors import UnsupportedOperation
+from pbcgen.passivity.plant import Plant
+from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
+from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, is_finite, precision, rational, sign, text
+from pbcgen.symbolic.tape import Tape
+
+#: States at which a nonzero function is looked for: fractions without special meaning, inside any box by scaling.
+_WEIGHTS = (Fraction(3, 7), Fraction(5, 11), Fraction(2, 9), Fraction(7, 13), Fraction(4, 17))
+_LARGEST = 12
+
+
+@dataclass(frozen=True)
+class Obstruction:
+    """Why no gamma exists.
+
+    Attributes:
+        reason: in words and formulas.
+        point: an equilibrium of f at which it shows, by state.
+        value: the quantity that ought to be zero, there.
+    """
+
+    reason: str
+    point: dict[str, str]
+    value: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Set:
+    """A set of equilibria: the states that are zero on it, and those that are free."""
+
+    zero: tuple[int, ...]
+    free: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Equations:
+    """``rows psi = right`` for psi = grad gamma_i, valid where ``finite`` are defined."""
+
+    rows: list[list[Quotient]]
+    right: list[Quotient]
+    finite: list[Quotient]
+
+
+def obstruction(plant: Plant) -> Obstruction | None:
+    """The first proof found, or None."""
+    if plant.system.n > _LARGEST:
+        return None
+    try:
+        places = _equilibria(plant)
+        if places is None:
+            return None
+        for i in range(plant.system.m):
+            found = _for_input(plant, places, i)
+            if found is not None:
+                return found
+    except (UnsupportedOperation, ZeroDivisionError):
+        return None
+    return None
+
+
+def _equilibria(plant: Plant) -> _Set | None:
+    """Coordinates that are zero on a set of equilibria of f, as few as possible; None when x = 0 is none."""
+    names = plant.system.state_names
+
+    def rests(zero: list[int]) -> bool:
+        try:
+            field, (drift,) = plant.exact(plant.system.f, known={names[k]: Fraction(0) for k in zero})
+        except (UnsupportedOperation, ZeroDivisionError):
+            return False
+        return all(entry.is_zero() for entry in drift.column(field.const(0)))
+
+    zero = list(range(plant.system.n))
+    if not rests(zero):
+        return None
+    for k in range(plant.system.n):
+        fewer = [j for j in zero if j != k]
+        if rests(fewer):
+            zero = fewer
+    return _Set(tuple(zero), tuple(k for k in range(plant.system.n) if k not in zero))
+
+
+def _for_input(plant: Plant, places: _Set, i: int) -> Obstruction | None:
+    """The equations for grad gamma_i on the set, and what contradicts them."""
+    system = plant.system
+    x, slope = system.x, plant.gradient
+    natural = ca.dot(system.g[:, i], slope)
+    loss = -ca.dot(slope, system.f)
+    known = {system.state_names[k]: Fraction(0) for k in places.zero}
+    jacobian = ca.jacobian(system.f, x)
+    field, outputs = plant.exact(jacobian, ca.gradient(natural, x), ca.hessian(loss, x)[0], natural, known=known)
+    zero = field.const(0)
+    J, wanted, hessian = outputs[0].dense(zero), outputs[1].column(zero), outputs[2].dense(zero)
+    rest = outputs[3].scalar(zero)
+    if not rest.is_zero():
+        reason = f"f = 0, so grad gamma^T f = 0, but the natural output for {system.input_names[i]} is not zero"
+        return _witness(plant, places, rest, [], reason)
+    directions = _kernel(field, hessian)
+    rows = [[_combine(field, d, J[j]) for j in range(system.n)] for d in directions]
+    right = [_combine(field, d, wanted) for d in directions]
+    finite = [entry for d in directions for entry in d]
+    equations = _Equations(rows, right, finite)
+    return _contradiction(plant, field, places, equations, i) or _curl(plant, field, places, equations, i)
+
+
+def _combine(field: Field, weights: list[Quotient], values: list[Quotient]) -> Quotient:
+    total = field.const(0)
+    for weight, value in zip(weights, values, strict=True):
+        if not (weight.is_zero() or value.is_zero()):
+            total = total + weight * value
+    return total
+
+
+def _kernel(field: Field, matrix: list[list[Quotient]]) -> list[list[Quotient]]:
+    """A basis of the kernel of a square matrix of functions."""
+    size = len(matrix)
+    solved = reduce_rows([dict(enumerate(row)) for row in matrix])
+    basis = []
+    for free in (k for k in range(size) if k not in solved):
+        vector = [field.const(0)] * size
+        vector[free] = field.const(1)
+        for pivot, row in solved.items():
+            if free in row:
+                vector[int(str(pivot))] = -row[free]
+        basis.append(vector)
+    return basis
+
+
+def _multipliers(
+    field: Field, rows: list[list[Quotient]], right: list[Quotient] | None, target: list[Quotient]
+) -> list[Quotient] | None:
+    """Weights with ``weights^T rows = target`` (and ``weights^T right = 1`` if given), or None."""
+    equations: list[Row] = []
+    for j, value in enumerate(target):
+        equations.append({**{r: row[j] for r, row in enumerate(rows)}, CONSTANT: -value})
+    if right is not None:
+        equations.append({**dict(enumerate(right)), CONSTANT: -field.const(1)})
+    try:
+        solution = particular_solution(reduce_rows(equations), field.const(0))
+    except Inconsistent:
+        return None
+    return [solution.get(r, field.const(0)) for r in range(len(rows))]
+
+
+def _contradiction(plant: Plant, field: Field, places: _Set, equations: _Equations, i: int) -> Obstruction | None:
+    """A combination of the equations that reads 0 = 1."""
+    weights = _multipliers(field, equations.rows, equations.right, [field.const(0)] * plant.system.n)
+    if weights is None:
+        return None
+    name = plant.system.input_names[i]
+    reason = f"without dissipation near these equilibria, the equations for grad gamma of {name} contradict each other"
+    return _witness(plant, places, field.const(1), [*weights, *equations.finite], reason)
+
+
+def _curl(plant: Plant, field: Field, places: _Set, equations: _Equations, i: int) -> Obstruction | None:
+    """The gradient of gamma_i along the set, where it is determined, must have a symmetric Jacobian."""
+    one, zero = field.const(1), field.const(0)
+    slopes: dict[int, tuple[Quotient, list[Quotient]]] = {}
+    for j in places.free:
+        weights = _multipliers(field, equations.rows, None, [one if k == j else zero for k in range(plant.system.n)])
+        if weights is not None:
+            slopes[j] = _combine(field, weights, equations.right), weights
+    names = plant.system.state_names
+    for j, (left, first) in slopes.items():
+        for k, (other, second) in slopes.items():
+            if j >= k:
+                continue
+            a, b = plant.expression(left), plant.expression(other)
+            skew = ca.jacobian(a, plant.system.x[k]) - ca.jacobian(b, plant.system.x[j])
+            reason = (
+                f"where f = 0 the gradient of gamma for {plant.system.input_names[i]} is determined, and "
+                f"d psi_{names[j]}/d{names[k]} - d psi_{names[k]}/d{names[j]} is not zero"
+            )
+            found = _witness(plant, places, skew, [*first, *second, *equations.finite], reason)
+            if found is not None:
+                return found
+    return None
+
+
+def _witness(
+    plant: Plant, places: _Set, value: Quotient | ca.SX, finite: list[Quotient], reason: str
+) -> Obstruction | None:
+    """A rational point of the set at which ``value`` is certainly not zero and ``finite`` are defined, in balls."""
+    system = plant.system
+    expressions = [value if isinstance(value, ca.SX) else plant.expression(value)]
+    conditions = [plant.expression(w) for w in finite if w.constant() is None]
+    tape = Tape.of(plant.symbols, [*expressions, ca.vertcat(ca.SX(0, 1), *conditions)])
+    parameters = [rational(plant.values[name]) for name in plant.parameter_names]
+    for shift in range(len(_WEIGHTS)):
+        x: list[Real] = [ZERO] * system.n
+        for k in places.free:
+            lo, hi = system.domain.get(system.state_names[k], (None, None))
+            low = lo if lo is not None else (hi - 1 if hi is not None else Fraction(0))
+            high = hi if hi is not None else low + 1
+            x[k] = rational(low + (high - low) * _WEIGHTS[(k + shift) % len(_WEIGHTS)])
+        with precision(BITS):
+            first, second = tape.walk(REAL, [x, [ZERO] * system.m, parameters])
+        number = first.scalar(ZERO)
+        defined = all(is_finite(entry) for entry in second.column(ZERO)) and is_finite(number)
+        if defined and sign(number) in (1, -1):
+            point = {name: text(v) for name, v in zip(system.state_names, x, strict=True)}
+            return Obstruction(reason, point, text(number, 9))
+    return None
