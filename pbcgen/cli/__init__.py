@@ -20,14 +20,28 @@ from typing import Annotated
 import typer
 
 import pbcgen
-from pbcgen.cli import check, doctor, examples, generate, new, region, report, simulate, terminal, validate, verify
+from pbcgen.cli import (
+    check,
+    doctor,
+    examples,
+    generate,
+    new,
+    region,
+    report,
+    robust,
+    simulate,
+    terminal,
+    tune,
+    validate,
+    verify,
+)
 from pbcgen.cli.outcome import Outcome
 from pbcgen.errors import PbcgenError
 
 #: Set to 1, it adds the traceback to the message about an unexpected error.
 DEBUG_VARIABLE = "PBCGEN_DEBUG"
 
-_COMMANDS = (new, examples, check, generate, validate, simulate, region, report, verify, doctor)
+_COMMANDS = (new, examples, check, tune, generate, validate, simulate, robust, region, report, verify, doctor)
 
 
 def main() -> None:

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -113,7 +114,7 @@ class Trial:
         many = step.mapaccum(count)
         states = np.hstack([start[:, None], np.array(many(start, p))])[:nx]
         errors = np.array(self._error.map(count + 1)(states)).T
-        return Run(np.arange(count + 1) * h, errors, states.T)
+        return Run(np.arange(count + 1, dtype=np.float64) * h, errors, states.T)
 
     @cached_property
     def _error(self) -> ca.Function:
@@ -175,7 +176,7 @@ class Trial:
         push = h * g["R_c"] * decay * alpha
         t = _saturated(beta * push, beta * (gamma + decay * parts[0]))
         following = [decay * parts[0] - push * t]
-        offset = u_star
+        offset: ca.SX = ca.SX(u_star)
         mechanics = self.plant.system.mechanical
         if isinstance(base, PotentialCompensation) and mechanics is not None:
             offset = ca.gradient(mechanics.V, mechanics.q)
@@ -231,7 +232,8 @@ def entries(law: Law) -> dict[str, tuple[Fraction, ...]]:
 
 
 def _diagonal(value: Vector | Matrix) -> tuple[Fraction, ...]:
-    return tuple(v[i] if isinstance(v, tuple) else v for i, v in enumerate(value))
+    listed: list[Any] = list(value)
+    return tuple(Fraction(v[i] if isinstance(v, tuple) else v) for i, v in enumerate(listed))
 
 
 def _flat(law: Law) -> list[float]:

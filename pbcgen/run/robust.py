@@ -14,6 +14,7 @@ from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -446,11 +447,12 @@ def dask_executor(address: str | None = None) -> tuple[Executor, Callable[[], No
     Raises ModelError if dask.distributed is not installed or the address does not answer.
     """
     try:
-        from distributed import Client
+        distributed: Any = import_module("distributed")
     except ImportError as error:
         raise ModelError("`--executor dask` needs dask.distributed: pip install 'pbcgen[dask]'") from error
+    options: dict[str, Any] = {"timeout": "20s"} if address else {"processes": True, "dashboard_address": None}
     try:
-        client = Client(address, timeout="20s") if address else Client(processes=True, dashboard_address=None)
+        client = distributed.Client(*([address] if address else []), **options)
     except (OSError, TimeoutError) as error:
         raise ModelError(f"no Dask cluster answers at `{address}`: {error}") from error
     return client.get_executor(), client.close

@@ -1,0 +1,190 @@
+"""``pbcgen tune``: gains from limits, sample period and a wish."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from pbcgen.cli import options
+from pbcgen.cli.outcome import Outcome
+from pbcgen.cli.terminal import progress
+from pbcgen.errors import EmitError, ModelError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from pbcgen.control.tune import Attempt, Tuning
+
+RouteOption = Literal["lyapunov", "linearisation", "both"]
+
+_PICTURES = (".pdf", ".png", ".svg")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the command line."""
+
+    @app.command("tune")
+    def command(
+        model: options.Model,
+        route: Annotated[
+            RouteOption, typer.Option(help="Which proof the gains must have: lyapunov, linearisation or both tried.")
+        ] = "both",
+        settling: Annotated[
+            float | None, typer.Option(metavar="T", help="Wished settling time (2 %), seconds.", show_default=False)
+        ] = None,
+        overshoot: Annotated[
+            float | None, typer.Option(metavar="P", help="Largest overshoot: 0.05.", show_default=False)
+        ] = None,
+        damping: Annotated[
+            float | None, typer.Option(metavar="Z", help="Least damping ratio of the modes.", show_default=False)
+        ] = None,
+        margin: Annotated[str, typer.Option(metavar="M", help="Stable with M times the sample period too.")] = "1.5",
+        seed: Annotated[int, typer.Option(help="Of the search.")] = 0,
+        effort: Annotated[int, typer.Option(help="About how many trial runs for each route.")] = 800,
+        output: Annotated[
+            Path | None,
+            typer.Option("-o", "--output", metavar="FILE", help="Write the law as Python.", show_default=False),
+        ] = None,
+        plot: Annotated[
+            Path | None, typer.Option(metavar="FILE", help="Draw before and after.", show_default=False)
+        ] = None,
+        sample_period: options.SamplePeriod = None,
+        json: options.Json = False,
+    ) -> Outcome:
+        """Choose gains that are proved, from limits, sample period and a wish."""
+        wish: dict[str, Any] = {"route": route, "settling": settling, "overshoot": overshoot, "damping": damping}
+        wish |= {"margin": margin, "seed": seed, "effort": effort}
+        return run(model, options.Settings(None, sample_period), wish, output=output, plot=plot, json=json)
+
+
+def run(
+    model: str,
+    settings: options.Settings,
+    wish: dict[str, Any],
+    *,
+    output: Path | None = None,
+    plot: Path | None = None,
+    json: bool = False,
+) -> Outcome:
+    """Tune a model.
+
+    Raises:
+        ModelError: the model or an option is not right.
+        NotProved: no gains were found that pass.
+        EmitError: the output exists already.
+    """
+    from pbcgen.control.tune import Route, Wish, tune
+    from pbcgen.models.exact import positive
+
+    if plot is not None and (plot.suffix.lower() not in _PICTURES or not plot.parent.is_dir()):
+        raise ModelError(f"`{plot}` cannot be drawn: a .png, .svg or .pdf in an existing directory was expected")
+    if output is not None and output.exists():
+        raise EmitError(f"`{output}` exists already: choose another file")
+    chosen = dict(wish)
+    route = chosen.pop("route")
+    routes: tuple[Route, ...] = ("lyapunov", "linearisation") if route == "both" else (route,)
+    chosen["margin"] = positive(chosen["margin"], "--margin")
+    asked = Wish(routes=routes, **chosen)
+    with progress("load") as tell:
+        tuning = tune(settings.design(model), asked, tell)
+        if plot is not None:
+            tell("draw")
+            _draw(tuning, settings.design(model), plot)
+    if output is not None:
+        output.write_text(_file(tuning), encoding="utf-8")
+    return Outcome(lambda console: _show(console, tuning, output, plot), _document(tuning) if json else None)
+
+
+def _file(tuning: Tuning) -> str:
+    from pbcgen.control.tune import expression
+
+    law = expression(tuning.design.law)
+    names = sorted({word.split("(")[0].strip() for word in law.splitlines() if word.rstrip().endswith("(")})
+    title = f'"""Gains found by pbcgen tune for `{tuning.design.name}`."""'
+    return f"{title}\n\nfrom pbcgen import {', '.join(names)}\n\nlaw = {law}\n"
+
+
+def _draw(tuning: Tuning, design: Any, path: Path) -> None:
+    from pbcgen.control.derive import derive
+    from pbcgen.control.trial import BAND, Trial, response
+    from pbcgen.report.comparison import plot_tuning
+    from pbcgen.report.plots import save
+
+    found = derive(design)
+    assert found.point is not None
+    assert found.gamma is not None
+    assert found.law is not None
+    trial = Trial(found.plant, found.point, found.gamma, found.eta, design, found.law)
+    after = tuning.design.law.resolve(design.system.m, None if found.eta is None else int(found.eta.numel()))
+    runs = [trial.run(law, tuning.duration) for law in (found.law, after)]
+    names = [condition.name for condition in design.target.conditions]
+    ends = (response(runs[0]).settling, response(runs[1]).settling)
+    (one, two) = ((run.times, run.errors) for run in runs)
+    save(plot_tuning(one, two, names, BAND, ends, f"{design.name}: before and after tuning"), path)
+
+
+def _document(tuning: Tuning) -> dict[str, Any]:
+    from pbcgen.control.trial import entries
+
+    return {
+        "design": tuning.design.name,
+        "law": tuning.design.law.name,
+        "route": tuning.chosen.route,
+        "gains": {name: [str(v) for v in values] for name, values in entries(tuning.design.law).items()},
+        "before": _response(tuning.before),
+        "attempts": [_attempt(attempt) for attempt in tuning.attempts],
+        "amplitudes": [str(v) for v in tuning.amplitudes],
+        "limits": [{"limit": room.limit, "room": float(room.room)} for room in tuning.limits],
+    }
+
+
+def _response(found: Any) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {"settling": found.settling, "overshoot": found.overshoot, "final": found.final}
+
+
+def _attempt(attempt: Attempt) -> dict[str, Any]:
+    from pbcgen.control.trial import entries
+
+    gains = None if attempt.law is None else {k: [str(v) for v in vs] for k, vs in entries(attempt.law).items()}
+    return {
+        "route": attempt.route,
+        "gains": gains,
+        "response": _response(attempt.response),
+        "spectral_abscissa": attempt.abscissa,
+        "spectral_radius": attempt.radius,
+        "lowest_abscissa": attempt.floor,
+        "active": list(attempt.active),
+        "notes": list(attempt.notes),
+        "claims": [c.as_json() for c in attempt.claims],
+    }
+
+
+def _show(console: Console, tuning: Tuning, output: Path | None, plot: Path | None) -> None:
+    from pbcgen.control.tune import expression
+
+    console.print(f"{tuning.design.name}: gains for law {tuning.design.law.name}", style="bold")
+    console.print(f"before: {_figures(tuning.before)}")
+    for attempt in tuning.attempts:
+        mark = "chosen" if attempt is tuning.chosen else "not chosen" if attempt.law is not None else "no gains"
+        console.print(f"\nroute {attempt.route} ({mark})", style="bold")
+        if attempt.response is not None and attempt.abscissa is not None:
+            console.print(f"  {_figures(attempt.response)}, spectral abscissa {attempt.abscissa:.4g} 1/s")
+        for line in attempt.active:
+            console.print(f"  active: {line}", soft_wrap=True)
+        for line in attempt.notes:
+            console.print(f"  {line}", soft_wrap=True)
+    console.print()
+    console.print(f"law={expression(tuning.design.law)},", style="green")
+    for path, what in ((output, "Law"), (plot, "Picture")):
+        if path is not None:
+            console.print(f"{what}: {path}", soft_wrap=True)
+    console.print("\nNext: put the law into the model file, then pbcgen check")
+
+
+def _figures(found: Any) -> str:
+    settled = f"settles in {found.settling:.4g} s" if found.settling < float("inf") else "does not settle"
+    return f"{settled}, overshoot {100 * found.overshoot:.3g} %, final error {100 * found.final:.2g} %"
