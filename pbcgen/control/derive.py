@@ -133,7 +133,10 @@ def derive(design: Design, progress: Progress = None, sampling: Sampling | None 
     storage: Storage = stages.run("assumption-1", lambda: assumption_1(plant))
     stages.add(equilibrium.claim, storage.claim)
     found = stages.run(
-        "passive output", lambda: passive_output.find(plant, storage.structure, storage.proved, storage.by_structure)
+        "passive output",
+        lambda: passive_output.find(
+            plant, storage.structure, storage.proved, storage.by_structure, storage.region, equilibrium.point
+        ),
     )
     output = found if isinstance(found, PassiveOutputResult) else None
     stages.add(output.claim if output else found)
