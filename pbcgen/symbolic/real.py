@@ -180,6 +180,8 @@ class RealAlgebra:
     def div(self, a: Real, b: Real) -> Real:
         if sign(b) in (None, 0):
             return undefined()
+        if isinstance(a, fmpq) and a == 0:
+            return ZERO if is_finite(b) else undefined()
         return a / b
 
     def neg(self, a: Real) -> Real:

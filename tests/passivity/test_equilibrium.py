@@ -187,3 +187,12 @@ def test_a_circuit_with_a_current_source_rests_where_the_currents_balance():
     found = _complete(circuit.lower(), {"v": 2})
     assert [approximate(x) for x in found.point.x] == [-1, 2]
     assert approximate(found.point.u[0]) == pytest.approx(8 + 1, rel=1e-15)
+
+
+def test_a_rational_posture_is_exact_although_the_inertia_is_not():
+    """M = cos q + 1/2 is irrational at q = 1/10, but at rest the velocity M^-1 p is exactly zero."""
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    arm = Mechanical([q], [p], M=[ca.cos(q) + 0.5], V=q**2 / 2, D=[1], G=[1])
+    found = _complete(arm.lower(), {"q": "0.1"})
+    assert found.claim.status is Status.PROVED
+    assert lower(found.point.u[0]) == upper(found.point.u[0]) == Fraction(1, 10)

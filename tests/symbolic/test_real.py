@@ -182,6 +182,15 @@ def test_a_product_with_an_exact_zero_hides_nothing_undefined():
     assert REAL.mul(fmpq(0), arb(2).sqrt()) == 0
 
 
+def test_an_exact_zero_stays_exact_in_quotients():
+    """The velocity M(q)^-1 p of a system at rest, where M(q) is only enclosed."""
+    with precision(BITS):
+        assert isinstance(REAL.div(fmpq(0), arb(2).sqrt()), fmpq)
+        assert not is_finite(REAL.div(fmpq(0), arb(0, 1)))
+        assert not is_finite(REAL.div(fmpq(0), arb.nan()))
+        assert not is_finite(REAL.div(fmpq(0), fmpq(0)))
+
+
 def test_a_square_is_not_negative():
     with precision(64):
         wide = enclose(Fraction(-1), Fraction(2))
