@@ -9,7 +9,7 @@ SYSTEMS := coupling_device rlc pera pera_integral elastic_pendulum
 REFERENCE := coupling_device rlc pera
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test lint format generated clean
+.PHONY: help env demo test lint format generated figures docs clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -56,6 +56,13 @@ generated: $(REFERENCE:%=generated-%) ## write the reference packages in generat
 
 generated-%: env
 	@$(PBCGEN) generate $* -o generated/$*
+
+figures: env ## draw the figures of docs/paper.md again, from the generated C
+	@$(BIN)/python -m pbcgen.report.figures docs/images/paper
+
+docs: env ## build the documentation in build/site; a warning is an error
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo build/site/index.html
 
 clean: ## remove everything that make wrote, .venv too
 	rm -rf .venv demo build dist .mypy_cache .ruff_cache .hypothesis
