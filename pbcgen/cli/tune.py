@@ -42,7 +42,7 @@ def register(app: typer.Typer) -> None:
         ] = None,
         margin: Annotated[str, typer.Option(metavar="M", help="Stable with M times the sample period too.")] = "1.5",
         seed: Annotated[int, typer.Option(help="Of the search.")] = 0,
-        effort: Annotated[int, typer.Option(help="About how many trial runs for each route.")] = 800,
+        effort: Annotated[int, typer.Option(help="About how many trial runs for each route.")] = 600,
         output: Annotated[
             Path | None,
             typer.Option("-o", "--output", metavar="FILE", help="Write the law as Python.", show_default=False),

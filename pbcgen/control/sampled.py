@@ -85,11 +85,13 @@ class LyapunovPeriods:
         largest: a rational h up to which the storage does not grow, closely below the best one, or None if this
             route has no bound to offer; then ``reason`` says why.
         Lambda: the constant damping matrix over (eta', y) that was used.
+        any_sequence: whether periods may vary below ``largest`` while the controller steps by a fixed one.
     """
 
     largest: Fraction | None
     reason: str
     Lambda: RealMatrix | None = None
+    any_sequence: bool = True
 
 
 def lyapunov_periods(
@@ -121,7 +123,7 @@ def lyapunov_periods(
     largest = _largest(_budget(Lambda, consumed, law, False), _budget(Lambda, consumed, law, True))
     if largest is None:
         return LyapunovPeriods(None, "no h > 0 leaves enough damping", Lambda)
-    return LyapunovPeriods(largest, "", Lambda)
+    return LyapunovPeriods(largest, "", Lambda, not isinstance(law, NaturalDamping))
 
 
 def _consumed(plant: Plant, law: Law) -> RealMatrix | None:
@@ -236,10 +238,13 @@ class Jitter:
 
 
 def jitter(loop: LinearLoop, shortest: Fraction, longest: Fraction, delay: Fraction = Fraction(0)) -> Jitter:
-    """Look for one P > 0 with ``P - M(h)^T P M(h) > 0`` for every h in the interval, verified on cells of balls."""
+    """Look for one P > 0 with ``P - M(h)^T P M(h) > 0`` for every h in the interval, verified on cells of balls.
+
+    The controller steps by the middle of the interval: its code knows only the nominal period.
+    """
     undecided = Jitter(shortest, longest, Status.UNDECIDED, None)
     with precision(SCAN_BITS):
-        transition = Transition(loop, delay)
+        transition = Transition(loop, delay, steps=(shortest + longest) / 2)
         try:
             basis = _modal_basis(transition.jet(ball(rational((shortest + longest) / 2))).c0)
         except (ValueError, ZeroDivisionError):
@@ -468,8 +473,9 @@ class Routes:
     @property
     def by_lyapunov(self) -> bool:
         """Whether the storage argument covers h, with damping to spare."""
-        longest = self.h if self.jitter is None else self.jitter.longest
-        return self.lyapunov.largest is not None and longest < self.lyapunov.largest
+        if self.lyapunov.largest is None or (self.jitter is not None and not self.lyapunov.any_sequence):
+            return False
+        return (self.h if self.jitter is None else self.jitter.longest) < self.lyapunov.largest
 
     @property
     def by_spectrum(self) -> bool:

@@ -241,16 +241,24 @@ def _diagonalise(A: acb_mat) -> tuple[acb_mat, acb_mat, acb_mat, list[acb], arb]
 class Transition:
     """M(h) of a loop with an input delay, as jets.
 
-    The state is (x, xi, the past inputs that still act), x and xi in the eigenvector coordinates of A and r_xi.
+    The state is (x, xi, the past inputs that still act), x and xi in the eigenvector coordinates of A and r_xi. With
+    ``steps`` only the plant's period varies: the controller was generated for this one.
     """
 
-    def __init__(self, loop: LinearLoop, delay: Fraction = Fraction(0), plant: _Basis | None = None) -> None:
+    def __init__(
+        self,
+        loop: LinearLoop,
+        delay: Fraction = Fraction(0),
+        plant: _Basis | None = None,
+        steps: Fraction | None = None,
+    ) -> None:
         n, k, m = loop.sizes
         nm = len(loop.H)
         self.n, self.k, self.m = n, k, m
         self.whole, self.part = divmod(delay, 1)
         self.memory = int(self.whole) + (1 if self.part else 0)
         self.delay = delay
+        self.steps = steps
         self.plant = plant or _Basis(_complex(loop.A, n, n))
         self.filter = _Basis(_complex(loop.r_xi, k, k))
         H = _complex(loop.H, nm, n) * self.plant.V
@@ -266,12 +274,15 @@ class Transition:
 
     def jet(self, h: arb) -> _Jet:
         """M, M' and M''/2, enclosed for every period in the ball h."""
-        E = self.filter.resolvent(h)
+        own = h if self.steps is None else ball(rational(self.steps))
+        E = self.filter.resolvent(own)
         r = self.filter.matrix
         zero = acb_mat(self.k, self.k, [0] * self.k**2)
         rE = r * E if self.k else zero
         step = _Jet(E, rE * E, rE * rE * E) if self.k else _Jet(zero, zero, zero)
-        held = _Jet(E * acb(h), E * E, rE * E * E) if self.k else step
+        held = _Jet(E * acb(own), E * E, rE * E * E) if self.k else step
+        if self.steps is not None and self.k:
+            step, held = _Jet(E, zero, zero), _Jet(E * acb(own), zero, zero)
         xi_x = held.times(self.drive)
         u_x, u_xi = xi_x.after(self.u_xi).plus(self.u_x), step.after(self.u_xi)
         e, first = self._hold(h, Fraction(1))

@@ -82,7 +82,7 @@ class Wish:
     damping: float | None = None
     margin: Fraction = Fraction(3, 2)
     seed: int = 0
-    effort: int = 800
+    effort: int = 600
 
     def __post_init__(self) -> None:
         """Raise ModelError for a wish that is no wish."""
@@ -199,7 +199,6 @@ class _Problem:
     limits: list[Room]
     amplitudes: Vector
     duration: float
-    names: tuple[str, ...] = field(default=())
 
     @staticmethod
     def of(design: Design, wish: Wish) -> _Problem:
@@ -395,7 +394,7 @@ class _Judge:
     duration: float
     seen: list[tuple[float, Law]] = field(default_factory=list)
     lowest: float = math.inf
-    runs: int = 0
+    ranked: list[tuple[float, NDArray[np.float64]]] = field(default_factory=list)
 
     def admissible(self, law: Law) -> Law | None:
         """The law, moved onto the conditions of the route where that is easy, or None if it breaks one."""
@@ -424,7 +423,6 @@ class _Judge:
         if figures.radius >= 1 or figures.abscissa >= 0:
             return 100.0 + min(50.0, 1e3 * max(figures.radius - 1, 0) + max(figures.abscissa, 0))
         self.lowest = min(self.lowest, figures.abscissa)
-        self.runs += 1
         found = self.problem.respond(candidate, self.duration)
         wished = self.problem.wish.damping
         penalty = 0.0 if wished is None else 5 * max(0.0, wished - figures.damping)
@@ -435,19 +433,19 @@ class _Judge:
         self.seen.append((value, candidate))
         return value
 
-    def abscissa(self, law: Law) -> float:
-        """The abscissa alone, for the floor of the route."""
-        candidate = self.admissible(law)
+    def abscissa(self, space: _Space, x: NDArray[np.float64]) -> float:
+        """The abscissa alone, for the floor of the route; points that are stable are remembered."""
+        candidate = self.admissible(space.law(x))
         if candidate is None:
             return 1e3
-        figures = self.problem.spectrum.figures(
-            self.problem.family.loop(candidate), self.problem.h, self.problem.wish.margin
-        )
+        loop = self.problem.family.loop(candidate)
+        figures = self.problem.spectrum.figures(loop, self.problem.h, self.problem.wish.margin)
         if figures is None:
             return 1e3
         if figures.radius >= 1:
             return 1e2 * figures.radius
         self.lowest = min(self.lowest, figures.abscissa)
+        self.ranked.append((figures.abscissa, np.array(x)))
         return figures.abscissa
 
 
@@ -507,11 +505,14 @@ def _attempt(problem: _Problem, route: Route, before: Response, progress: Progre
         note = "Prop. pro:int is a linearisation: there is no Lyapunov route for the law integral"
         return Attempt(route, None, None, None, None, None, (), (note,))
     if progress:
-        progress(f"search, {route}")
+        progress(f"lowest abscissa, {route}")
     limit = problem.duration if problem.wish.settling or not math.isfinite(before.settling) else before.settling * 1.5
     judge = _Judge(problem, route, min(problem.duration, max(limit, 50 * float(problem.h))))
+    _floor(problem, judge)
+    if progress:
+        progress(f"search, {route}")
     _search(problem, judge)
-    floor = _floor(problem, route, judge, progress)
+    floor = judge.lowest if math.isfinite(judge.lowest) else None
     ranked = _distinct(sorted(judge.seen, key=lambda item: item[0]))
     reason = "no candidate met the conditions of the route"
     for law in ranked[:6]:
@@ -528,20 +529,24 @@ def _attempt(problem: _Problem, route: Route, before: Response, progress: Progre
 
 
 def _search(problem: _Problem, judge: _Judge) -> None:
-    """Differential evolution on numbers common to all channels, then a simplex on each channel's own."""
+    """Differential evolution on numbers common to all channels, then simplexes on each channel's own.
+
+    The evolution starts from the given gains, the loops with the fastest slowest mode, and a sample of the box.
+    """
     from scipy.optimize import differential_evolution, minimize
+    from scipy.stats import qmc
 
     space = _Space(problem, common=True)
-    size = len(space.bounds)
-    population = max(5, min(8, 40 // size)) * size
-    generations = max(4, round(problem.wish.effort * 0.6 / population))
+    lower, upper = np.array(space.bounds).T
+    size = 5 * len(lower)
+    sample = qmc.scale(qmc.LatinHypercube(len(lower), rng=problem.wish.seed).random(size), lower, upper)
+    fastest = [x for _, x in sorted(judge.ranked, key=lambda item: item[0])][: size // 2]
+    population = np.array([space.start(), *fastest, *sample])[:size]
     differential_evolution(
         lambda x: judge.cost(space.law(x)),
         space.bounds,
-        maxiter=generations,
-        popsize=max(5, min(8, 40 // size)),
-        init="sobol",
-        x0=space.start(),
+        maxiter=max(2, round(problem.wish.effort * 0.5 / size)),
+        init=np.clip(population, lower, upper),
         rng=problem.wish.seed,
         polish=False,
         tol=1e-3,
@@ -549,19 +554,19 @@ def _search(problem: _Problem, judge: _Judge) -> None:
     if not judge.seen:
         return
     own = _Space(problem, common=False)
-    clip = np.array(own.bounds)
-    for size_of_simplex in (0.25, 0.1):
+    least, most = np.array(own.bounds).T
+    for edge in (0.3, 0.1):
         start = _point_of(own, min(judge.seen, key=lambda item: item[0])[1])
-        simplex = [start, *(start + size_of_simplex * np.eye(len(start)))]
+        simplex = [start, *(start + edge * np.eye(len(start)))]
         minimize(
-            lambda x: judge.cost(own.law(np.clip(x, clip[:, 0], clip[:, 1]))),
+            lambda x: judge.cost(own.law(np.clip(x, least, most))),
             start,
             method="Nelder-Mead",
             options={
-                "maxfev": round(problem.wish.effort / 5),
+                "maxfev": round(problem.wish.effort / 4),
                 "initial_simplex": simplex,
                 "xatol": 1e-3,
-                "fatol": 1e-5,
+                "fatol": 1e-4,
             },
         )
 
@@ -575,25 +580,21 @@ def _point_of(space: _Space, law: Law) -> NDArray[np.float64]:
     return np.array(point)
 
 
-def _floor(problem: _Problem, route: Route, judge: _Judge, progress: Progress) -> float | None:
-    """The lowest spectral abscissa that the route allows, as far as a search of its own finds it."""
+def _floor(problem: _Problem, judge: _Judge) -> None:
+    """Look for the lowest spectral abscissa that the route allows, whatever the response."""
     from scipy.optimize import differential_evolution
 
-    if progress:
-        progress(f"lowest abscissa, {route}")
     space = _Space(problem, common=True)
-    size = len(space.bounds)
     differential_evolution(
-        lambda x: judge.abscissa(space.law(x)),
+        lambda x: judge.abscissa(space, x),
         space.bounds,
-        maxiter=max(3, round(problem.wish.effort / (5 * size))),
+        maxiter=max(3, round(problem.wish.effort / (8 * len(space.bounds)))),
         popsize=5,
         init="sobol",
         x0=space.start(),
         rng=problem.wish.seed + 1,
         polish=False,
     )
-    return judge.lowest if math.isfinite(judge.lowest) else None
 
 
 def _distinct(ranked: list[tuple[float, Law]]) -> list[Law]:
