@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from time import perf_counter
@@ -21,6 +21,7 @@ from pbcgen.control.closed_loop import ClosedLoop
 from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.law import ControlLaw
 from pbcgen.control.sampled import Sampling
+from pbcgen.control.solves import with_tanh
 from pbcgen.control.stability import LYAPUNOV
 from pbcgen.emit import Package, Provenance, render
 from pbcgen.errors import ModelError, NotProved
@@ -30,6 +31,8 @@ from pbcgen.proof.claim import EMISSION_CLAIMS, Claim, Status
 
 if TYPE_CHECKING:
     from pbcgen.control.attraction import Region
+    from pbcgen.control.hyperbolic import Tanh
+    from pbcgen.emit.figures import Figures
     from pbcgen.run.simulate import Trajectory
     from pbcgen.run.validate import Validation
 
@@ -146,8 +149,13 @@ def region(report: Report, seconds: float = 40.0) -> Region:
     )
 
 
-def package(report: Report, *, prefix: str | None = None, allow: Sequence[str] = ()) -> Package:
-    """The C package of a checked design. Raises NotProved when a claim that it needs is open."""
+def package(
+    report: Report, *, prefix: str | None = None, allow: Sequence[str] = (), figures: Sequence[Figures] = ()
+) -> Package:
+    """The C package of a checked design. Raises NotProved when a claim that it needs is open.
+
+    ``figures`` are what a step of it costs on targets.
+    """
     blocking = report.blocking(allow)
     if blocking or report.control is None:
         raise NotProved(_refusal(report, blocking))
@@ -158,7 +166,29 @@ def package(report: Report, *, prefix: str | None = None, allow: Sequence[str] =
         allowed,
         derived=report.derived,
     )
-    return render(report.control, provenance, prefix, {"certificate.json": certificate(report)})
+    return render(report.control, provenance, prefix, {"certificate.json": certificate(report)}, figures)
+
+
+def measured(report: Report, rendered: Package, names: Sequence[str], progress: Progress = None) -> list[Figures]:
+    """What a step of the package costs on the targets of these names. Raises ToolchainError if a tool is missing."""
+    from pbcgen.run.emulate import measure
+    from pbcgen.run.targets import target
+
+    assert report.control is not None
+    assert report.loop is not None
+    figures = []
+    for name in dict.fromkeys(names):
+        if progress:
+            progress(f"emulate {name}")
+        figures.append(measure(report.control, rendered.files, report.loop, target(name)))
+    return figures
+
+
+def _with_tanh(report: Report, tanh: Tanh | None) -> Report:
+    """The report with another tanh in its law."""
+    if tanh is None or report.control is None:
+        return report
+    return replace(report, control=with_tanh(report.control, tanh))
 
 
 def certificate(report: Report) -> str:
@@ -183,28 +213,48 @@ def generate(
     *,
     prefix: str | None = None,
     allow: Sequence[str] = (),
+    tanh: Tanh | None = None,
+    targets: Sequence[str] = (),
     progress: Progress = None,
 ) -> Generated:
     """Check the design and write its C package.
 
+    Args:
+        design: the controller.
+        directory: new, empty, or with an earlier version of the package.
+        prefix: of the C names.
+        allow: claims that need not be proved.
+        tanh: in place of the precision's default.
+        targets: processors on which the cost of a step is measured, for README and manifest.
+        progress: called with the name of each stage.
+
     Raises:
+        ToolchainError: a target is unknown, or its tools are missing.
         NotProved: a claim that code needs is neither PROVED nor allowed.
         EmitError: the directory holds files of others, or a constant does not fit the precision.
         ModelError: the model is inconsistent.
     """
-    report = check(design, progress)
+    report = _with_tanh(check(design, progress), tanh)
     rendered = package(report, prefix=prefix, allow=allow)
+    if targets:
+        figures = measured(report, rendered, targets, progress)
+        rendered = package(report, prefix=prefix, allow=allow, figures=figures)
     rendered.write(directory)
     return Generated(rendered, report, directory)
 
 
 def validate(
-    design: Design, *, allow: Sequence[str] = (), progress: Progress = None, steps: int | None = None
+    design: Design,
+    *,
+    allow: Sequence[str] = (),
+    tanh: Tanh | None = None,
+    progress: Progress = None,
+    steps: int | None = None,
 ) -> Validation:
     """Compile the C of the design and test it; see :func:`pbcgen.run.validate.validate`."""
     from pbcgen.run.validate import validate as run
 
-    report = check(design, progress)
+    report = _with_tanh(check(design, progress), tanh)
     rendered = package(report, allow=allow)
     assert report.control is not None
     assert report.loop is not None

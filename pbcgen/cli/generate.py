@@ -15,6 +15,8 @@ from pbcgen.cli.terminal import progress
 from pbcgen.proof.claim import Status
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
 
     from pbcgen.pipeline import Generated
@@ -36,19 +38,36 @@ def register(app: typer.Typer) -> None:
         ] = None,
         sample_period: options.SamplePeriod = None,
         allow: options.Allow = None,
+        tanh: options.TanhOption = None,
+        target: Annotated[
+            list[str] | None,
+            typer.Option(
+                "--target",
+                metavar="CPU",
+                help="Measure a step on this emulated processor: cortex-m4f, cortex-m0 or rv32imafc. Repeatable.",
+                show_default=False,
+            ),
+        ] = None,
         json: options.Json = False,
     ) -> Outcome:
         """Check the model, then write the C package."""
-        settings = options.Settings(precision, sample_period, options.claims(allow))
-        return run(model, directory, settings, prefix=prefix, json=json)
+        settings = options.Settings(precision, sample_period, options.claims(allow), tanh)
+        return run(model, directory, settings, prefix=prefix, targets=target or (), json=json)
 
 
 def run(
-    model: str, directory: Path, settings: options.Settings, *, prefix: str | None = None, json: bool = False
+    model: str,
+    directory: Path,
+    settings: options.Settings,
+    *,
+    prefix: str | None = None,
+    targets: Sequence[str] = (),
+    json: bool = False,
 ) -> Outcome:
     """Write the package.
 
     Raises:
+        ToolchainError: a target is unknown, or its tools are missing.
         ModelError: the model or an option is not right.
         NotProved: a claim that code depends on is neither PROVED nor allowed.
         EmitError: the directory holds other files, or the controller cannot be written in C.
@@ -57,7 +76,15 @@ def run(
 
     with progress("load") as tell:
         design = settings.design(model)
-        generated = pipeline.generate(design, directory, prefix=prefix, allow=settings.allow, progress=tell)
+        generated = pipeline.generate(
+            design,
+            directory,
+            prefix=prefix,
+            allow=settings.allow,
+            tanh=settings.tanh,
+            targets=targets,
+            progress=tell,
+        )
     return Outcome(lambda console: _show(console, generated, model, settings), _document(generated) if json else None)
 
 
@@ -68,6 +95,7 @@ def _document(generated: Generated) -> dict[str, Any]:
         "prefix": generated.package.prefix,
         "files": files,
         "memory": _memory(generated),
+        "figures": _manifest(generated)["figures"],
         "renamed": dict(generated.package.renamed),
         "check": generated.report.as_json(),
     }
@@ -75,8 +103,13 @@ def _document(generated: Generated) -> dict[str, Any]:
 
 def _memory(generated: Generated) -> dict[str, int]:
     """Sizes in bytes, as the manifest states them."""
-    sizes: dict[str, int] = json_format.loads(generated.package.files["manifest.json"])["memory"]
+    sizes: dict[str, int] = _manifest(generated)["memory"]
     return sizes
+
+
+def _manifest(generated: Generated) -> dict[str, Any]:
+    document: dict[str, Any] = json_format.loads(generated.package.files["manifest.json"])
+    return document
 
 
 def _show(console: Console, generated: Generated, model: str, settings: options.Settings) -> None:
@@ -95,6 +128,11 @@ def _show(console: Console, generated: Generated, model: str, settings: options.
         f"Memory: state {memory['state_bytes']} bytes, input {memory['input_bytes']}, output {memory['output_bytes']}; "
         f"heap {memory['heap_bytes']}, writable static data {memory['writable_static_bytes']}."
     )
+    for f in _manifest(generated)["figures"]:
+        console.print(
+            f"{f['target']}: {f['mean']} instructions a step, {f['worst']} at the most; "
+            f"code {f['text']} bytes, stack {f['stack']}."
+        )
     for python, c in package.renamed:
         console.print(f"Renamed for C: {python} is {c}.")
     for claim in generated.report.claims:

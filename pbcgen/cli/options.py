@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pbcgen.models.design import Design
 
 Precision = Literal["float", "double"]
+Tanh = Literal["fast", "libm"]
 
 Model = Annotated[
     str,
@@ -40,6 +41,14 @@ Allow = Annotated[
         show_default=False,
     ),
 ]
+TanhOption = Annotated[
+    Tanh | None,
+    typer.Option(
+        "--tanh",
+        help="A rational tanh, or the math library's; by default fast in float and libm in double.",
+        show_default=False,
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -50,11 +59,13 @@ class Settings:
         precision: in place of the design's, or None.
         sample_period: in seconds, as the user wrote it, in place of the design's, or None.
         allow: claims that need not be proved.
+        tanh: in place of the precision's default, or None.
     """
 
     precision: Precision | None = None
     sample_period: str | None = None
     allow: tuple[str, ...] = ()
+    tanh: Tanh | None = None
 
     def design(self, model: str) -> Design:
         """The design that MODEL names, changed. Raises ModelError for a model or a sample period that is not right."""
@@ -69,6 +80,7 @@ class Settings:
         """The same as text, to be put behind a command."""
         words = [f"--precision {self.precision}"] if self.precision else []
         words += [f"--sample-period {shlex.quote(self.sample_period)}"] if self.sample_period else []
+        words += [f"--tanh {self.tanh}"] if self.tanh else []
         words += [f"--allow {claim}" for claim in self.allow]
         return "".join(f" {word}" for word in words)
 

@@ -27,10 +27,11 @@ def register(app: typer.Typer) -> None:
         precision: options.PrecisionOption = None,
         sample_period: options.SamplePeriod = None,
         allow: options.Allow = None,
+        tanh: options.TanhOption = None,
         json: options.Json = False,
     ) -> Outcome:
         """Compare the compiled C with the model."""
-        return run(model, options.Settings(precision, sample_period, options.claims(allow)), json=json)
+        return run(model, options.Settings(precision, sample_period, options.claims(allow), tanh), json=json)
 
 
 def run(model: str, settings: options.Settings, *, json: bool = False) -> Outcome:
@@ -44,7 +45,7 @@ def run(model: str, settings: options.Settings, *, json: bool = False) -> Outcom
     from pbcgen import pipeline
 
     with progress("load") as tell:
-        validation = pipeline.validate(settings.design(model), allow=settings.allow, progress=tell)
+        validation = pipeline.validate(settings.design(model), allow=settings.allow, tanh=settings.tanh, progress=tell)
     return Outcome(
         show=lambda console: _show(console, validation, f"{shlex.quote(model)}{settings.as_options()}"),
         document=validation.as_json() if json else None,

@@ -6,8 +6,8 @@ libraries differ (tanh, sin, ...), a few units in the last place.
 
 One step
 --------
-1. A state that is not finite or is beyond STATE_LIMIT is set to its initial value; the status is then at least
-   STATE_RESET.
+1. A state that is not finite, or whose sum of squares is above STATE_LIMIT^2, is set to its initial value; the status
+   is then at least STATE_RESET.
 2. A measurement that is not finite: the output is the fallback of the law, the state is kept, INVALID_INPUT.
 3. *prepare*: c and N. Unless a computed N is finite and a computed mu >= 0, and c is finite for a block or a channel
    without Newton or Taylor step: fallback output, state kept, OUT_OF_RANGE.
@@ -95,7 +95,7 @@ class ReferenceStep:
         self.high: Array = np.array([high for _, high in bounds], self.dtype)
         self.equilibrium: Array = np.array(equilibrium_output(law), self.dtype)
         self._algebra = NumpyAlgebra(law.precision, law.tanh)
-        self._limit = nearest(STATE_LIMIT[law.precision], law.precision)
+        self._limit = nearest(STATE_LIMIT[law.precision] ** 2, law.precision)
         self._tanh = tanh_of(law)
 
     def __call__(
@@ -125,7 +125,7 @@ class ReferenceStep:
 
     def _step(self, m: Array, xi: Array, held: Array) -> tuple[Array, Array, NDArray[np.int32]]:
         status = np.zeros(len(m), np.int32)
-        corrupted = ~np.all(np.abs(xi) <= self._limit, axis=1)
+        corrupted = ~(_sum_of_squares(xi) <= self._limit)
         if self.law.fallback is Fallback.LAST_OUTPUT:
             held = np.where((held >= self.low) & (held <= self.high), held, self.equilibrium)
             held[corrupted] = self.equilibrium
@@ -161,10 +161,7 @@ class ReferenceStep:
                 t[:, rows], ok = solve_block(N[:, rows[:, None], rows], c[:, rows, 0], solve, self._tanh)
                 converged &= ok
         next_xi, u = self._walk(self.law.update, batch, m, xi, t)
-        total = np.zeros(batch, self.dtype)
-        for value in (*next_xi[:, :, 0].T, *u[:, :, 0].T):
-            total = total + value * value
-        in_range &= total <= self._limit * self._limit
+        in_range &= _sum_of_squares(np.hstack([next_xi[:, :, 0], u[:, :, 0]])) <= self._limit
         return next_xi[:, :, 0], u[:, :, 0], converged, in_range
 
     def _walk(self, tape: Any, batch: int, *inputs: Array) -> list[Array]:
@@ -305,6 +302,14 @@ def _newton_direction(N: Array, t: Array, F: Array) -> tuple[Array, NDArray[np.b
             d[:, k] -= A[:, k, j] * d[:, j]
         d[:, k] /= A[:, k, k]
     return d, regular
+
+
+def _sum_of_squares(rows: Array) -> Array:
+    """The sum of each row's squares, from the first entry to the last."""
+    total: Array = np.zeros(len(rows), rows.dtype)
+    for column in rows.T:
+        total = total + column * column
+    return total
 
 
 def _precision_of(array: Array) -> Precision:

@@ -19,8 +19,10 @@ from pbcgen.emit.templating import fill
 from pbcgen.errors import EmitError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
+
+    from pbcgen.emit.figures import Figures
 
 MANIFEST: Final = "manifest.json"
 
@@ -82,14 +84,17 @@ def render(
     provenance: Provenance,
     prefix: str | None = None,
     extra_files: Mapping[str, str] | None = None,
+    figures: Sequence[Figures] = (),
 ) -> Package:
     """The package of ``law``. ``extra_files`` (name -> text) join it and its manifest: the certificate.
+
+    ``figures``, if measured, go into README and manifest.
 
     Raises EmitError for what cannot be written in C: a constant that the precision cannot hold, a prefix that is no
     identifier; UnsupportedOperation for an operation without a C form.
     """
     program = program_of(law, package_prefix(prefix, law.name))
-    context = _context(law, provenance, program)
+    context = _context(law, provenance, program) | {"figures": figures}
     names = {
         f"{program.prefix}.h": "header.h.j2",
         f"{program.prefix}.c": "source.c.j2",
@@ -103,7 +108,7 @@ def render(
         if name in files or name == MANIFEST or not _is_plain_name(name):
             raise EmitError(f"the extra file `{name}` cannot join the package: choose another name")
         files[name] = text
-    files[MANIFEST] = _manifest(law, provenance, program, files)
+    files[MANIFEST] = _manifest(law, provenance, program, files, figures)
     return Package(program.prefix, dict(sorted(files.items())), program.renamed)
 
 
@@ -124,6 +129,9 @@ def _context(law: ControlLaw, provenance: Provenance, program: Program) -> dict[
         "upper": program.upper,
         "holds": program.holds,
         "channels": law.channels,
+        "input_texts": [f"input->{member.c_name}" for member in program.inputs],
+        "checks_finite": any("_is_finite(" in check for check in program.body.prepare_checks)
+        or program.block_functions,
         "law": law,
         "provenance": provenance,
         "statuses": _statuses(law, program),
@@ -196,7 +204,13 @@ def header_text(law: ControlLaw, provenance: Provenance, program: Program) -> li
     return lines
 
 
-def _manifest(law: ControlLaw, provenance: Provenance, program: Program, files: Mapping[str, str]) -> str:
+def _manifest(
+    law: ControlLaw,
+    provenance: Provenance,
+    program: Program,
+    files: Mapping[str, str],
+    figures: Sequence[Figures],
+) -> str:
     """The machine-readable description; it lists every file but itself."""
     document = {
         "generator": {"name": "pbcgen", "version": pbcgen.__version__},
@@ -217,12 +231,17 @@ def _manifest(law: ControlLaw, provenance: Provenance, program: Program, files: 
             }
             for m in program.outputs
         ],
-        "states": [_signal(m) | {"initial": m.initial} for m in program.states],
+        "states": [
+            _signal(m) | {"initial": m.initial, "role": "state" if m.is_memory else "held output"}
+            for m in program.states
+        ],
         "fallback": wording.fallback_text(law),
         "statuses": [asdict(status) for status in _statuses(law, program)],
         "solves": [_solve(solve) for solve in law.solves],
         "constants": {"state_limit": program.constants.state_limit},
         "memory": _memory(law, program),
+        "figures": [f.as_json() for f in figures],
+        "tanh": law.tanh,
         "verdicts": [{"claim": c, "status": s, "domain": d} for c, s, d in provenance.verdicts],
         "allowed": [{"claim": claim, "meaning": wording.unproved(claim)} for claim in provenance.allowed],
         "notes": list(provenance.notes),
@@ -247,7 +266,8 @@ def _bounds(bounds: Any) -> list[str] | None:
 
 def _solve(solve: Any) -> dict[str, Any]:
     kind = "scalar" if isinstance(solve, ScalarSolve) else "block"
-    return {"kind": kind, **asdict(solve)}
+    given = {name: value for name, value in asdict(solve).items() if value is not None}
+    return {"kind": kind, **given}
 
 
 def _digest(text: str) -> str:

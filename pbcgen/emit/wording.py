@@ -121,7 +121,20 @@ def sum_of_squares(values: Sequence[str], indent: str) -> str:
     >>> sum_of_squares(("a", "b"), "")
     '((a * a) + (b * b))'
     """
-    terms = [f"({v} * {v})" for v in values]
+    return _sum([f"({v} * {v})" for v in values], indent)
+
+
+def sum_of_differences(values: Sequence[str], indent: str) -> str:
+    """``((a - a) + (b - b))``: zero if all values are finite, NaN otherwise.
+
+    >>> sum_of_differences(("a",), "")
+    '((a - a))'
+    """
+    return _sum([f"({v} - {v})" for v in values], indent)
+
+
+def _sum(terms: Sequence[str], indent: str) -> str:
+    """The terms with plus signs in parentheses, four on a line."""
     lines = [" + ".join(terms[k : k + 4]) for k in range(0, len(terms), 4)]
     return "(" + f"\n{indent}+ ".join(lines) + ")"
 

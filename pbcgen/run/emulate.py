@@ -11,21 +11,26 @@ import re
 import struct
 import sys
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from pbcgen.emit.figures import Figures
 from pbcgen.emit.package import MANIFEST
 from pbcgen.errors import ToolchainError
+from pbcgen.run.simulate import simulate_sampled
 from pbcgen.run.toolchain import run_tool
 from pbcgen.run.wrapper import Interface
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from pbcgen.control.closed_loop import ClosedLoop
+    from pbcgen.control.law import ControlLaw
     from pbcgen.run.targets import Target
 
 Floats = NDArray[np.floating[Any]]
@@ -39,38 +44,6 @@ _ARGUMENTS: Final = 0x6000_0000
 _RETURN: Final = 0x1F00_0000  # in the part of the memory map that may hold code
 _PAINT: Final = 0xA5
 _PAGE: Final = 0x1000
-
-
-@dataclass(frozen=True)
-class Figures:
-    """What one step costs on a target.
-
-    Attributes:
-        target: name of the target.
-        compiler: compiler and flags.
-        steps: number of steps that were run.
-        mean, worst: instructions of one step, call and return included.
-        text: bytes of code and constants of the package, without library functions.
-        library: bytes of the math and run-time library functions that it pulls in.
-        stack: bytes of stack that the deepest step used, library functions included.
-        state: bytes of the controller's state.
-        static: bytes of writable static data of the package.
-    """
-
-    target: str
-    compiler: str
-    steps: int
-    mean: float
-    worst: int
-    text: int
-    library: int
-    stack: int
-    state: int
-    static: int
-
-    def as_json(self) -> dict[str, Any]:
-        """The figures, ready for ``json.dumps``; the mean is rounded to one decimal."""
-        return asdict(self) | {"mean": round(self.mean, 1)}
 
 
 def missing_tools() -> str:
@@ -101,6 +74,8 @@ class Emulated:
         self._state = _ARGUMENTS
         self._input = _ARGUMENTS + 0x400
         self._output = _ARGUMENTS + 0x800
+        #: Instructions of every step of :meth:`advance`.
+        self.counts: list[int] = []
         self.reset()
 
     def reset(self) -> None:
@@ -125,6 +100,17 @@ class Emulated:
     def state(self, value: bytes) -> None:
         self._machine.write(self._state, value)
 
+    def advance(self, measurement: ArrayLike) -> Floats:
+        """One step: u. The instructions that it took are added to ``counts``."""
+        u, _, count = self.step(np.asarray(measurement))
+        self.counts.append(count)
+        return u
+
+    @property
+    def xi(self) -> Floats:
+        """The controller's states and, behind them, held outputs."""
+        return np.frombuffer(self.state, self.interface.dtype).copy()
+
     def run(self, measurements: Floats) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
         """Steps over measurements (N, nm) from the present state: u (N, m), status (N,), instructions (N,)."""
         rows = [self.step(row) for row in np.atleast_2d(measurements)]
@@ -135,21 +121,51 @@ class Emulated:
         """Bytes of stack that the calls so far have used at the most."""
         return self._machine.stack_used()
 
-    def figures(self, counts: NDArray[np.int64]) -> Figures:
-        """The figures for steps with these instruction counts."""
-        sizes = self._image.sizes()
+    def figures(self) -> Figures:
+        """What the steps of :meth:`advance` cost. Raises ToolchainError if there were none."""
+        if not self.counts:
+            raise ToolchainError("no step was run on the target: there is nothing to measure")
         return Figures(
-            self.target.name,
-            f"{_compiler_version()} {' '.join(self.flags)}",
-            len(counts),
-            float(np.mean(counts)),
-            int(np.max(counts)),
-            sizes["text"],
-            sizes["library"],
-            self.stack_used(),
-            self.state_bytes,
-            sizes["static"],
+            target=self.target.name,
+            description=self.target.description,
+            compiler=f"{_compiler_version()} {' '.join(self.flags)}",
+            steps=len(self.counts),
+            mean=float(np.mean(self.counts)),
+            worst=max(self.counts),
+            text=self._image.text,
+            stack=self.stack_used(),
+            state=self.state_bytes,
+            static=self._image.static,
         )
+
+
+def measure(
+    law: ControlLaw, files: Mapping[str, str], loop: ClosedLoop, target: Target, *, steps: int = 600, seed: int = 0
+) -> Figures:
+    """The figures over reachable inputs: the closed loop from its initial state, then random points around it.
+
+    Args:
+        law: the law that the package was rendered from.
+        files: the package.
+        loop: the plant.
+        target: where to run.
+        steps: number of steps of the closed loop, and of random points.
+        seed: of the random points.
+
+    Raises:
+        ToolchainError: a tool is missing, or the package does not build.
+        SimulationError: the closed loop cannot be simulated.
+    """
+    with np.errstate(all="ignore"):
+        controller = Emulated(files, target)
+        duration = float(min(Fraction(loop.duration), steps * law.sample_period))
+        run = simulate_sampled(loop, controller, law.sample_period, duration)
+        measured = np.array(loop.measure.map(len(run.times))(run.x.T)).reshape(len(law.inputs), -1).T
+        middle = np.array(loop.measure(loop.x_star), dtype=float).ravel()
+        span = np.abs(measured - middle).max(axis=0)
+        for scale in np.random.default_rng(seed).uniform(-1, 1, (steps, len(middle))):
+            controller.advance(middle + span * scale)
+    return controller.figures()
 
 
 @dataclass(frozen=True)
@@ -158,8 +174,8 @@ class _Image:
 
     segments: tuple[tuple[int, bytes, int], ...]
     symbols: Mapping[str, int]
-    own: Mapping[str, int]
-    total_text: int
+    text: int
+    static: int
     state_bytes: int
 
     @staticmethod
@@ -192,22 +208,18 @@ class _Image:
             segments = tuple(
                 (s["p_vaddr"], s.data(), s["p_memsz"]) for s in elf.iter_segments() if s["p_type"] == "PT_LOAD"
             )
-            symbols = {s.name: s["st_value"] for s in elf.get_section_by_name(".symtab").iter_symbols() if s.name}
-            state = next(
-                s["st_size"] for s in elf.get_section_by_name(".symtab").iter_symbols() if s.name == "the_state"
-            )
+            table = [entry for entry in elf.get_section_by_name(".symtab").iter_symbols() if entry.name]
+            symbols = {entry.name: entry["st_value"] for entry in table}
+            state = next(entry["st_size"] for entry in table if entry.name == "the_state")
         with own.open("rb") as stream:
             sizes = _sections(ELFFile(stream))
-        return _Image(segments, symbols, sizes, 0, state)
+        return _Image(segments, symbols, sizes["text"], sizes["static"], state)
 
     def address(self, symbol: str) -> int:
         """Raises ToolchainError if the symbol is not in the image."""
         if symbol not in self.symbols:
             raise ToolchainError(f"`{symbol}` is not in the linked image")
         return self.symbols[symbol]
-
-    def sizes(self) -> dict[str, int]:
-        return {"text": self.own["text"], "library": self.total_text, "static": self.own["static"]}
 
 
 def _sections(elf: Any) -> dict[str, int]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from pbcgen.errors import ToolchainError
+
 
 @dataclass(frozen=True)
 class Target:
@@ -61,3 +63,10 @@ _TARGETS: Final = (
 )
 
 TARGETS: Final = {target.name: target for target in _TARGETS}
+
+
+def target(name: str) -> Target:
+    """The target of this name. Raises ToolchainError if there is none."""
+    if name not in TARGETS:
+        raise ToolchainError(f"there is no target `{name}`: the targets are {', '.join(sorted(TARGETS))}")
+    return TARGETS[name]
