@@ -24,7 +24,7 @@ def execute(monkeypatch, capsys):
 def validation(monkeypatch):
     def _set(*, passed):
         result = fake_results.validation(passed=passed)
-        monkeypatch.setattr(pipeline, "validate", lambda design, allow, progress: result)
+        monkeypatch.setattr(pipeline, "validate", lambda design, **options: result)
 
     return _set
 
@@ -32,7 +32,7 @@ def validation(monkeypatch):
 @pytest.fixture(autouse=True)
 def simulation(monkeypatch):
     result = fake_results.simulation()
-    monkeypatch.setattr(pipeline, "simulate", lambda design, allow, progress: result)
+    monkeypatch.setattr(pipeline, "simulate", lambda design, **options: result)
 
 
 def test_validate_prints_each_test_and_the_next_command(execute, validation):
