@@ -62,6 +62,10 @@ class Report:
     timings: Mapping[str, float]
     derivation: Derivation
 
+    def __repr__(self) -> str:
+        proved = sum(c.status is Status.PROVED for c in self.claims)
+        return f"<Report of {self.design.name}: {proved} of {len(self.claims)} claims PROVED>"
+
     def blocking(self, allow: Sequence[str] = ()) -> tuple[Claim, ...]:
         """The claims that forbid code: not PROVED and not allowed by name."""
         return tuple(

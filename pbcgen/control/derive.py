@@ -83,6 +83,9 @@ class Derivation:
     bounds: NaturalDampingBounds | None = None
     situation: Situation | None = None
 
+    def __repr__(self) -> str:
+        return f"<Derivation of {self.design.name}>"
+
     def control_law(self, h: Fraction, precision: Precision) -> ControlLaw | None:
         """The law discretised with sample period h, or None when there is no law to discretise."""
         if self.graph is None or self.interface is None:

@@ -72,7 +72,12 @@ class _Printer:
                 return product if constant > 0 else f"-{product}"
             return f"{number(fraction(constant))}*{product}"
         text = self._ratio(coefficient.numerator, coefficient.denominator)
-        return f"{text}*{product}" if product else text
+        if not product:
+            return text
+        for one, sign in (("1/", ""), ("-1/", "-")):
+            if text.startswith(one):
+                return f"{sign}{product}/{text[len(one) :]}"
+        return f"{text}*{product}"
 
     def _ratio(self, numerator: fmpq_mpoly, denominator: fmpq_mpoly) -> str:
         top = self._factored(numerator)
