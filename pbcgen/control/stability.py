@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from pbcgen.control.attractivity import Situation, beyond_linearisation, globally
@@ -49,6 +49,8 @@ def stability(situation: Situation, h: Fraction, sampling: Sampling | None = Non
     by_lyapunov = bool(premises) and not missing
     asymptotic = _asymptotic(continuous, by_lyapunov, missing, situation)
     overall = globally(situation, by_lyapunov, asymptotic)
+    if overall.status is Status.PROVED and asymptotic.status is Status.UNDECIDED:
+        asymptotic = replace(overall, claim="asymptotically-stable", domain="near x*")
     sampled, routes = decide(
         situation, h, missing if premises else ["the whole route"], asymptotic, overall, sampling or Sampling()
     )

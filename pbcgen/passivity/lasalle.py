@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 from flint import fmpq, fmpq_mpoly
 
+from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.nonnegative import nonnegative, positive
@@ -23,6 +24,8 @@ from pbcgen.symbolic.tape import Tape
 
 #: Lie derivatives of an equation are followed up to this many times the number of states.
 _ROUNDS = 3
+#: Instructions of all the expressions that one elimination may look at: some seconds of work.
+_BUDGET = 25_000
 
 #: Odd strictly increasing functions: they vanish only with their argument.
 _MONOTONE_KINDS = frozenset({"tanh", "atan", "asinh", "erf", "asin", "atanh"})
@@ -102,6 +105,7 @@ class _Elimination:
     pending: list[ca.SX] = field(default_factory=list)
     relations: list[ca.SX] = field(default_factory=list)
     steps: list[str] = field(default_factory=list)
+    spent: int = 0
 
     @property
     def states(self) -> int:
@@ -119,6 +123,9 @@ class _Elimination:
         plant = self.flow.plant
         parameters = plant.parameter_symbols
         tape = Tape.of([ca.vertcat(*self.symbols), parameters], [ca.vertcat(*expressions)])
+        self.spent += len(tape.instructions)
+        if self.spent > _BUDGET:
+            raise UnsupportedOperation("the equations of the invariant set grow too large")
         names = [*self.names, *plant.parameter_names]
         field_, (values,) = evaluate(tape, names, plant.values)
         return field_, values.column(field_.const(0))
@@ -243,7 +250,7 @@ def invariant_set(flow_: Flow, fixed: ca.SX | None = None, extra: ca.SX | None =
         extra: further equations that hold on the set, a column.
 
     Raises:
-        UnsupportedOperation: for models that are not analytic.
+        UnsupportedOperation: for models that are not analytic, and when the equations grow beyond the budget.
     """
     plant = flow_.plant
     m = plant.system.m

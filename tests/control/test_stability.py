@@ -1,0 +1,104 @@
+"""Stable, asymptotically stable, global: the right status, and none that contradicts another."""
+
+import time
+
+import casadi as ca
+import pytest
+
+from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical
+from pbcgen.control.derive import derive
+from pbcgen.proof.claim import Status
+
+PROVED, REFUTED, UNDECIDED = Status.PROVED, Status.REFUTED, Status.UNDECIDED
+
+
+def _claims(system, target, **gains):
+    law = DynamicExtension(**{"alpha": 1, "beta": 1, "K_c": 1, "R_c": 1, **gains})
+    derivation = derive(Design(system, target=target, law=law, sample_period="1e-3", name="d"))
+    return {c.claim: c for c in derivation.claims}
+
+
+def _plane(f, g=(0, 1), S=None):
+    x, y, u = (ca.SX.sym(name) for name in ("x", "y", "u"))
+    return AffineSystem([x, y], [u], f(x, y), list(g), x**2 / 2 + y**2 / 2 if S is None else S(x, y))
+
+
+def _pendulums(G, D):
+    q, p = [ca.SX.sym("q1"), ca.SX.sym("q2")], [ca.SX.sym("p1"), ca.SX.sym("p2")]
+    V = 9.81 * (2 - ca.cos(q[0]) - ca.cos(q[1])) + (q[0] - q[1]) ** 2
+    return Mechanical(q, p, M=[1, 1], V=V, D=D, G=G)
+
+
+def test_cubic_damping_is_asymptotically_stable_although_the_linearisation_does_not_say_so():
+    """x' = -x^3 has an eigenvalue 0; the global claim implies the local one."""
+    claims = _claims(_plane(lambda x, y: [-(x**3), -y]), {"x": 0, "y": 0})
+    assert claims["globally-asymptotically-stable"].status is PROVED
+    assert claims["asymptotically-stable"].status is PROVED
+
+
+@pytest.mark.parametrize("power", [2, 3])
+def test_a_growing_nonlinearity_with_eigenvalue_zero_is_not_proved(power):
+    claims = _claims(_plane(lambda x, y: [x**power, -y]), {"x": 0, "y": 0})
+    for claim in ("stable", "asymptotically-stable", "globally-asymptotically-stable", "sampled-stable"):
+        assert claims[claim].status is not PROVED
+
+
+def test_an_undamped_symmetric_mode_is_stable_and_not_asymptotically_stable():
+    """Two equal pendulums, the same force on both: the motion against each other is not seen."""
+    start = time.perf_counter()
+    claims = _claims(_pendulums([1, 1], [0, 0]), {"q1": 0, "q2": 0}, alpha=5)
+    assert claims["stable"].status is PROVED
+    assert claims["asymptotically-stable"].status is not PROVED
+    assert time.perf_counter() - start < 20
+
+
+def test_damping_of_one_pendulum_reaches_the_symmetric_mode():
+    claims = _claims(_pendulums([1, 1], [0.1, 0]), {"q1": 0, "q2": 0}, alpha=5)
+    assert claims["asymptotically-stable"].status is PROVED
+    assert claims["globally-asymptotically-stable"].status is REFUTED
+
+
+def test_a_conserved_charge_is_not_asymptotically_stable():
+    a, b, c, u = (ca.SX.sym(name) for name in "abcu")
+    system = AffineSystem([a, b, c], [u], [b - a, a - b, -c], [0, 0, 1], (a**2 + b**2 + c**2) / 2)
+    claims = _claims(system, {"a": 1, "b": 1, "c": 0})
+    assert claims["asymptotically-stable"].status is REFUTED
+    assert claims["sampled-stable"].status is not PROVED
+
+
+def test_a_storage_that_decreases_by_luck_proves_nothing_for_the_closed_loop():
+    """f = -B grad S with an indefinite B and exponentials in grad S: the closed loop is unstable."""
+    system = _plane(
+        lambda x, y: [-ca.exp(x) - 2 * ca.exp(y), -2 * ca.exp(x) - ca.exp(y)],
+        (3, 3),
+        lambda x, y: ca.exp(x) + ca.exp(y),
+    )
+    claims = _claims(system, {"x": 0, "y": 0}, alpha=2, beta=3)
+    assert claims["equilibrium"].status is PROVED
+    assert claims["stable"].status is not PROVED
+
+
+@pytest.mark.parametrize("model", ["well", "hanging", "maglev", "negative stiffness"])
+def test_stable_is_never_proved_where_the_linearisation_is_unstable(model):
+    q, p, lam = (ca.SX.sym(name) for name in ("q", "p", "lam"))
+    u = ca.SX.sym("u")
+    systems = {
+        "well": (Mechanical([q], [p], M=[1], V=(q**2 - 1) ** 2, D=[0.1], G=[1]), {"q": 0}),
+        "hanging": (Mechanical([q], [p], M=[1], V=9.81 * ca.cos(q), D=[0.1], G=[1]), {"q": 0}),
+        "negative stiffness": (Mechanical([q], [p], M=[-1], V=-(q**2), D=[1], G=[1]), {"q": 0}),
+        "maglev": (
+            AffineSystem(
+                [lam, q, p],
+                [u],
+                [-2 * (1 - q) * lam, 10 * p, lam**2 / 2 - 0.981],
+                [1, 0, 0],
+                (1 - q) * lam**2 / 2 + 5 * p**2 + 0.981 * q,
+            ),
+            {"q": "0.5", "lam": "1.4"},
+        ),
+    }
+    system, target = systems[model]
+    claims = _claims(system, target)
+    assert claims["stable"].status is not PROVED
+    assert claims["asymptotically-stable"].status is not PROVED
+    assert claims["hessian-condition"].status is not PROVED
