@@ -17,7 +17,7 @@ from flint import fmpq
 
 import pbcgen
 from pbcgen.control.derive import Derivation
-from pbcgen.control.measure import Measurement, Unreadable
+from pbcgen.control.measure import Measurement, Reading, Unreadable
 from pbcgen.control.writing import Writing
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.identity import canonical_text, model_hash
@@ -33,6 +33,7 @@ from pbcgen.proof.definite import RealMatrix, positive_definite
 from pbcgen.proof.squares import Square, decompose, decompose_matrix
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import BITS, Real, approximate, fraction, lower, midpoint, precision, rational, upper
+from pbcgen.symbolic.tape import Tape
 from pbcgen.verify.files import FORMAT, digest
 
 #: Half-width of the box of Krawczyk's test, and the digits of its centre.
@@ -77,13 +78,23 @@ def _formulas(derivation: Derivation) -> Writing:
     """gamma, eta and the power structure."""
     plant, structure = derivation.plant, derivation.structure
     named = {"gamma": derivation.gamma, "eta": derivation.eta}
-    if structure is not None:
+    if structure is not None and _needs_structure(derivation):
         named |= {"matrix": structure.matrix, "remainder": structure.remainder}
     present = {name: ca.SX(e) for name, e in named.items() if e is not None and e.numel()}
     writing = Writing()
     constants = [plant.values[name] for name in plant.parameter_names[len(plant.system.parameters.names) :]]
-    writing.tape(plant.tape(*present.values()), list(present), ["state", "input", "parameter"], {2: constants})
+    found = writing.tape(plant.tape(*present.values()), ["state", "input", "parameter"], {2: constants})
+    for name, matrix in zip(present, found, strict=True):
+        writing.output(name, matrix.shape, matrix.entries)
     return writing
+
+
+def _needs_structure(derivation: Derivation) -> bool:
+    """Whether the gradient condition rests on the power structure, because its value at x* is not exact."""
+    exact = derivation.point is not None and all(
+        _exactly(v) is not None for v in (*derivation.point.x, *derivation.point.u)
+    )
+    return not (exact or isinstance(_base(derivation.law), PotentialCompensation))
 
 
 def _readings(derivation: Derivation) -> Writing:
@@ -93,17 +104,27 @@ def _readings(derivation: Derivation) -> Writing:
     if point is None or derivation.gamma is None:
         return writing
     measurement = Measurement.of(plant, point)
-    named: dict[str, ca.SX] = {}
     for name, signals in _signals(derivation, derivation.gamma):
-        readings = [measurement.read(signal, name) for signal in ca.vertsplit(ca.vec(ca.densify(signals)))]
-        if any(isinstance(reading, Unreadable) for reading in readings):
-            return writing
-        named[name] = ca.vertcat(*[r.deviation for r in readings if not isinstance(r, Unreadable)])
-    symbols = [symbol for symbol, _ in measurement.constants]
-    tape_inputs = [measurement.symbols, ca.vertcat(*symbols) if symbols else ca.SX(0, 1)]
-    constants = [midpoint(value) for _, value in measurement.constants]
-    writing.expressions(tape_inputs, named, ["measured", "constant"], {1: constants})
+        places = {}
+        for k, signal in enumerate(ca.vertsplit(ca.vec(ca.densify(signals)))):
+            reading = measurement.read(signal, name)
+            if isinstance(reading, Unreadable):
+                return Writing()
+            places[k, 0] = _place(writing, measurement, reading)
+        writing.output(name, (len(places), 1), places)
     return writing
+
+
+def _place(writing: Writing, measurement: Measurement, reading: Reading) -> int:
+    """A signal in the measurement, up to a constant."""
+    if reading.affine is not None:
+        names = measurement.plant.system.measured_names
+        return writing.combination({names.index(name): weight for name, weight in reading.affine.items()}, "measured")
+    symbols, values = zip(*measurement.constants, strict=True) if measurement.constants else ((), ())
+    inputs = [measurement.symbols, ca.vertcat(*symbols) if symbols else ca.SX(0, 1)]
+    numbers = [midpoint(value) for value in values]
+    (matrix,) = writing.tape(Tape.of(inputs, [reading.value]), ["measured", "constant"], {1: numbers})
+    return matrix.entries.get((0, 0), writing.put("constant 0"))
 
 
 def _signals(derivation: Derivation, gamma: ca.SX) -> Iterator[tuple[str, ca.SX]]:
@@ -308,7 +329,8 @@ def _written(squares: Sequence[Square] | None, terms: Writing) -> dict[str, Any]
 
 
 def _gradient(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
-    return None if derivation.structure is None else {"form": derivation.structure.form}
+    structure = derivation.structure
+    return None if structure is None or not _needs_structure(derivation) else {"form": structure.form}
 
 
 def _direction(matrix: Callable[[Derivation], RealMatrix]) -> Callable[..., dict[str, Any] | None]:

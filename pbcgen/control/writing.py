@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
-import casadi as ca
 from flint import fmpq_mpoly
 
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.real import fraction
-from pbcgen.symbolic.tape import Constant, Input, Tape
+from pbcgen.symbolic.tape import Constant, Input, Matrix, Tape
 
 
 class Writing:
@@ -32,24 +31,26 @@ class Writing:
             self._instructions.append(instruction)
         return self._place[instruction]
 
-    def expressions(
-        self,
-        inputs: Sequence[ca.SX],
-        named: Mapping[str, ca.SX],
-        kinds: Sequence[str],
-        constants: Mapping[int, Sequence[Fraction]],
-    ) -> None:
-        """SX expressions of ``inputs`` as outputs; see :meth:`tape`."""
-        self.tape(Tape.of(inputs, list(named.values())), list(named), kinds, constants)
+    def output(self, name: str, shape: tuple[int, int], places: Mapping[tuple[int, int], int]) -> None:
+        """Name a matrix of results, by their places."""
+        entries = " ".join(f"{row},{column}:{at}" for (row, column), at in sorted(places.items()))
+        self._outputs.append(f"{name} {shape[0]}x{shape[1]} {entries}".rstrip())
 
-    def tape(
-        self, tape: Tape, names: Sequence[str], kinds: Sequence[str], constants: Mapping[int, Sequence[Fraction]]
-    ) -> None:
-        """A tape with named outputs.
+    def combination(self, weights: Mapping[int, Fraction], kind: str) -> int:
+        """The place of ``sum weight * input`` over the inputs of a kind."""
+        total = self.put("constant 0") if not weights else -1
+        for index, weight in sorted(weights.items()):
+            term = self.put(f"{kind} {index}")
+            if weight != 1:
+                term = self.put(f"mul {self.put(f'constant {weight}')} {term}")
+            total = term if total < 0 else self.put(f"add {total} {term}")
+        return total
+
+    def tape(self, tape: Tape, kinds: Sequence[str], constants: Mapping[int, Sequence[Fraction]]) -> list[Matrix[int]]:
+        """The places of the outputs of a tape.
 
         Args:
             tape: the instructions.
-            names: of its outputs.
             kinds: of its inputs, as the word that reads one.
             constants: for an input the values of its last entries, which are written as numbers.
         """
@@ -68,9 +69,7 @@ class Writing:
                 case operation:
                     operands = " ".join(str(place[o]) for o in operation.operands)
                     place.append(self.put(f"{operation.name} {operands}"))
-        for name, matrix in zip(names, tape.outputs, strict=True):
-            entries = " ".join(f"{row},{column}:{place[at]}" for (row, column), at in sorted(matrix.entries.items()))
-            self._outputs.append(f"{name} {matrix.shape[0]}x{matrix.shape[1]} {entries}".rstrip())
+        return [Matrix(m.shape, {at: place[k] for at, k in m.entries.items()}) for m in tape.outputs]
 
     def quotient(self, value: Quotient) -> int:
         """The place of an exact function of the state."""

@@ -14,6 +14,7 @@ from pbcgen.verify.claims import Finding, examine
 FORMAT = 1
 CERTIFICATE, MANIFEST = "certificate.json", "manifest.json"
 
+_VERDICT = ("claim", "status", "domain")
 _LISTS = ("model", "formulas", "readings", "terms", "claims")
 
 
@@ -54,20 +55,16 @@ def _package(directory: Path, document: Mapping[str, Any]) -> Finding:
     """Whether the files are those of the manifest, and the manifest speaks of the same model and verdicts."""
     try:
         manifest = json.loads((directory / MANIFEST).read_text(encoding="utf-8"))
-        changed = [
-            name
-            for name, facts in manifest["files"].items()
-            if hashlib.sha256((directory / name).read_bytes()).hexdigest() != facts["sha256"]
-        ]
-        verdicts = [[v[key] for key in ("claim", "status", "domain")] for v in manifest["verdicts"]]
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        return Finding("package", "", "fails", f"{MANIFEST} cannot be read: {error}")
-    if changed or CERTIFICATE not in manifest["files"]:
-        return Finding(
-            "package", "", "fails", f"changed since they were generated: {', '.join(changed) or CERTIFICATE}"
+        sums = {name: hashlib.sha256((directory / name).read_bytes()).hexdigest() for name in manifest["files"]}
+        changed = [name for name, facts in manifest["files"].items() if sums[name] != facts["sha256"]]
+        verdicts, stated = (
+            [[v[k] for k in _VERDICT] for v in part] for part in (manifest["verdicts"], document["claims"])
         )
-    if manifest["model_hash"] != document["model_hash"]:
-        return Finding("package", "", "fails", "the manifest names another model than the certificate")
-    if verdicts != [[c[key] for key in ("claim", "status", "domain")] for c in document["claims"]]:
-        return Finding("package", "", "fails", "the manifest states other verdicts than the certificate")
-    return Finding("package", "", "checked")
+        same = manifest["model_hash"] == document["model_hash"]
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        return Finding("package", "", "fails", f"{MANIFEST} or a file that it lists cannot be read: {error}")
+    reasons = [f"changed since they were generated: {', '.join(changed)}"] if changed else []
+    reasons += [] if CERTIFICATE in sums else [f"the manifest does not list {CERTIFICATE}"]
+    reasons += [] if same else ["the manifest names another model than the certificate"]
+    reasons += [] if verdicts == stated else ["the manifest states other verdicts than the certificate"]
+    return Finding("package", "", "fails" if reasons else "checked", "; ".join(reasons))

@@ -6,10 +6,22 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
-from flint import arb, arb_mat, ctx, fmpq
+from flint import arb, fmpq
 
 from pbcgen.symbolic.plain.formulas import Formulas, rational
-from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, inverse, plus, product, transpose
+from pbcgen.symbolic.plain.matrices import (
+    Matrix,
+    blocks,
+    diagonal,
+    dot,
+    inverse,
+    krawczyk,
+    negative,
+    plus,
+    product,
+    transpose,
+    zero_order_hold,
+)
 from pbcgen.symbolic.plain.values import Dual, Field, Function, partial, plain, sign, variables
 from pbcgen.verify.model import Model
 
@@ -27,20 +39,20 @@ def require(condition: object, otherwise: str) -> None:
 class System:
     """The model, the formulas beside it, and the target of a certificate."""
 
-    def __init__(self, document: Mapping[str, Any], pool: int) -> None:
+    def __init__(self, document: Mapping[str, Any], *settings: Any) -> None:
         self.model = Model.parse("\n".join(document["model"]))
         self.formulas = Formulas.parse(document["formulas"])
         self.witness: Mapping[str, Mapping[str, Any]] = {c["claim"]: c["witness"] or {} for c in document["claims"]}
         self.states, self.inputs, self.law = (self.model.words[name] for name in ("states", "inputs", "law"))
         self.n, self.m, self.half = len(self.states), len(self.inputs), len(self.states) // 2
         self.compensated = "potential-compensation" in self.law
-        self.field = Field(self.n, pool)
+        self.field = Field(self.n, *settings)
 
     def walk(self, state: Sequence[Any], lift: Callable[[fmpq], Any] = fmpq) -> dict[str, Matrix]:
         """All named matrices of the model and of the formulas at a state of any kind of value."""
         found: dict[str, Matrix] = {}
         inputs = {"state": state, "parameter": [lift(p) for p in self.model.parameters]}
-        for formulas in (self.model.formulas, self.formulas):
+        for formulas in (self.formulas, self.model.formulas):  # what the model states comes last, and stands
             values = formulas.walk(lift, inputs)
             found |= {name: formulas.matrix(name, values) for name in formulas.outputs}
         return found
@@ -64,11 +76,11 @@ class System:
 
     def column(self, name: str) -> list[Function]:
         """A column of exact functions."""
-        return [row[0] for row in self.functions(name)]
+        return [v for (v,) in self.functions(name)]
 
     def slope(self, name: str) -> Matrix:
         """The exact Jacobian of a column, rows over the state."""
-        return [[self.field.lift(partial(row[0], k)) for k in range(self.n)] for row in self.exact[name]]
+        return [[self.field.lift(partial(v, k)) for k in range(self.n)] for (v,) in self.exact[name]]
 
     def rate(self, name: str) -> Matrix:
         """The derivative in time of each entry of a column, as coefficients of (1, u)."""
@@ -79,11 +91,10 @@ class System:
         """``u^T y - S'`` with y = gamma' as a quadratic form in (1, u): the matrix Z of Hill and Moylan."""
         ((drift, *storage),), y = self.rate("S"), self.rate("gamma")
         require(len(y) == self.m, "gamma has not one entry for each input")
-        half = [
-            [fmpq(0)] * (self.m + 1),
-            *[[(v - (s if k == 0 else 0)) / 2 for k, v in enumerate(row)] for row, s in zip(y, storage, strict=True)],
-        ]
-        return plus(plus(half, transpose(half)), [[drift, *[0] * self.m], *[[0] * (self.m + 1)] * self.m], -1)
+        gained = [[drift, *[0] * self.m]] + [[v, *[0] * self.m] for v in storage]
+        given = [[fmpq(0)] * (self.m + 1), *y]
+        Z = plus(given, gained, -1)
+        return [[(a + b) / 2 for a, b in zip(*rows, strict=True)] for rows in zip(Z, transpose(Z), strict=True)]
 
     def potential(self, q: Sequence[Any], lift: Callable[[fmpq], Any]) -> Any:
         """The potential energy S(q, 0)."""
@@ -98,9 +109,13 @@ class System:
     def zero(self, functions: Sequence[Any], otherwise: str) -> None:
         """Every function is the zero function, and no divisor so far is."""
         require(all(self.field.lift(v).top.is_zero() for v in functions), otherwise)
-        point = [fmpq(11 * k + 3, 7 * k + 10) for k in range(self.n)]
+        size = [fmpq(11 * k + 3, 7 * k + 10) for k in range(self.n)]
+        points = [[v * (1, a, b, a * b)[k % 4] for k, v in enumerate(size)] for a in (1, -1) for b in (1, -1)]
+        points += [[-v for v in point] for point in points]
         for divisor in self.field.divisors.values():
-            require(sign(self.field.at(divisor, point)) in (1, -1), "a divisor may be the zero function")
+            values = [arb(self.field.at(divisor, point)) for point in points]
+            nonzero = [sign(v) in (1, -1) for v in values if v.is_finite()]
+            require(nonzero and all(nonzero), "a divisor may be the zero function")
         self.field.divisors.clear()
 
     # --- at x* -----------------------------------------------------------------------------------------------------
@@ -117,28 +132,14 @@ class System:
         def at(values: Sequence[Any]) -> dict[str, Any]:
             return known | dict(zip(unknown, values, strict=True))
 
-        box = self._krawczyk(lambda values: self._residuals(at(values)), rows, centre) if rows else []
-        others = [v for k, v in enumerate(self._residuals(at(box))) if k not in rows]
+        radius = rational(witness["radius"])
+        box = krawczyk(lambda values: [self._residuals(at(values))[k] for k in rows], centre, radius) if rows else []
+        require(box is not None, "Krawczyk's test does not hold")
+        others = [v for k, v in enumerate(self._residuals(at(box or []))) if k not in rows]
         require(all(sign(v) == 0 for v in others), "an equation does not hold exactly")
-        z = at(box)
+        z = at(box or [])
         require(self.inside(z), "x* is not in the domain")
         return [z[name] for name in self.states], [z[name] for name in self.inputs]
-
-    def _krawczyk(
-        self, residuals: Callable[[Sequence[Any]], list[Any]], rows: list[int], centre: list[fmpq]
-    ) -> list[arb]:
-        """Balls that hold the one zero of the equations ``rows`` in a box around the centre."""
-        size, width = range(len(centre)), rational(self.witness["equilibrium"]["radius"])
-        half = [[arb(0, arb(width * (1 + abs(c))))] for c in centre]
-        box = [c + h[0] for c, h in zip(centre, half, strict=True)]
-        value, near, over = residuals(centre), residuals(variables(centre)), residuals(variables(box))
-        Y = [[v.mid() for v in row] for row in inverse([[plain(partial(near[i], k)) for k in size] for i in rows])]
-        slope = [[plain(partial(over[i], k)) for k in size] for i in rows]
-        defect = plus(diagonal([arb(1)] * len(centre)), product(Y, slope), -1)
-        image = plus(product(defect, half), product(Y, [[value[i]] for i in rows]), -1)
-        found = [c + row[0] for c, row in zip(centre, image, strict=True)]
-        require(all(b.contains_interior(k) for b, k in zip(box, found, strict=True)), "Krawczyk's test does not hold")
-        return found
 
     def _residuals(self, z: Mapping[str, Any]) -> list[Any]:
         """``f + g u``, and the differences of the target's expressions from their values."""
@@ -161,9 +162,13 @@ class System:
         """A matrix at x*."""
         return [[plain(v) for v in row] for row in self.star[name]]
 
+    def is_regular(self, name: str) -> bool:
+        """Whether a matrix certainly has an inverse at x*; ZeroDivisionError otherwise."""
+        return bool(inverse(self.numbers(name)))
+
     def jacobian(self, column: Matrix) -> Matrix:
         """The Jacobian of a column of duals."""
-        return [[plain(partial(row[0], k)) for k in range(self.n)] for row in column]
+        return [[plain(partial(v, k)) for k in range(self.n)] for (v,) in column]
 
     def hessian(self, value: Any) -> Matrix:
         """The Hessian of a dual of duals."""
@@ -186,21 +191,13 @@ class System:
         H = self.hessian(S)
         if self.compensated:
             # p^T dS/dp = 2 (S - V): the kinetic energy is a quadratic form in p, and flat in q at p = 0.
-            V, p = (
-                plain(self.potential([self.still(s) for s in self.field.symbols[:half]], self.still)),
-                self.field.symbols[half:],
-            )
-            self.zero(
-                [dot(p, self.slope("S")[0][half:]) - 2 * (self.column("S")[0] - V)], "S is not kinetic plus potential"
-            )
-            self.zero(
-                [a - b for a, b in zip(self.column("gamma"), self.field.symbols[:half], strict=True)], "gamma is not q"
-            )
+            (q, p), e = (self.field.symbols[:half], self.field.symbols[half:]), self.slope("S")[0]
+            V = plain(self.potential([self.still(s) for s in q], self.still))
+            self.zero([dot(p, e[half:]) - (self.column("S")[0] - V) * 2], "S is not kinetic plus potential")
+            self.zero([a - b for a, b in zip(self.column("gamma"), q, strict=True)], "gamma is not q")
             require(all(sign(v) == 0 for v in self.point[0][half:]), "the momenta at x* are not zero")
-            corner = [row[half:] for row in H[half:]]
-            return [fmpq(0)] * self.n, blocks(
-                [[diagonal([fmpq(0)] * half), diagonal([fmpq(0)] * half)], [diagonal([fmpq(0)] * half), corner]]
-            )
+            flat, corner = diagonal([fmpq(0)] * half), [row[half:] for row in H[half:]]
+            return [fmpq(0)] * self.n, blocks([[flat, flat], [flat, corner]])
         for row, u in zip(self.star["gamma"], self.point[1], strict=True):
             H = plus(H, self.hessian(row[0]), -u)
         return plus(self.jacobian(self.star["S"]), product([self.point[1]], self.gamma), -1)[0], H
@@ -227,48 +224,32 @@ class System:
     @cached_property
     def controller(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
         """(P, Q, C, D): ``xi' = P dx + Q xi``, ``du = C xi + D dx``; tanh has slope one at the target."""
-        gains, gamma, stiff = self.model.gains, self.gamma, self.stiffness
+        gains, gamma, k = self.model.gains, self.gamma, self.stiffness
+        one, zero = diagonal([fmpq(1)] * self.m), diagonal([fmpq(0)] * self.m)
         if "passive-output" in self.law:
-            A, B = self.plant
-            k_p = product(diagonal(gains["k_p"][0]), gamma)
-            loop = inverse(plus(diagonal([fmpq(1)] * self.m), product(k_p, B)))
-            return (
-                [],
-                [],
-                [[]] * self.m,
-                product(
-                    loop,
-                    plus(product(stiff, gamma), product(k_p, A)),
-                    [[-v for v in row] for row in diagonal([fmpq(1)] * self.n)],
-                ),
-            )
-        D = [[fmpq(0)] * self.n for _ in range(self.m)]
-        if self.compensated:
-            V = self.potential(variables(self.point[0], 2)[: self.half], fmpq)
-            D = self.hessian(V)[: self.half]
-        parts = [(gains["R_c"], product(stiff, gamma), stiff, product(gains["R_c"], plus(stiff, gains["K_c"])))]
+            friction, (A, B) = product(diagonal(gains["k_p"][0]), gamma), self.plant
+            D = product(inverse(plus(one, product(friction, B))), plus(product(k, gamma), product(friction, A)))
+            return [], [], [[]] * self.m, negative(D)
+        parts = [(product(gains["R_c"], k, gamma), product(gains["R_c"], plus(k, gains["K_c"])), k, product(k, gamma))]
         if "natural-damping" in self.law:
-            k = product(diagonal(gains["alpha_l"][0]), diagonal(gains["beta_l"][0]))
-            driven = product(k, self.upsilon(len(self.star["eta"])), self.jacobian(self.star["eta"]))
-            parts.append((gains["R_l"], driven, product(k, gains["K_l"]), product(gains["R_l"], k, gains["K_l"])))
-        P = blocks([[product(R, driven)] for R, driven, _, _ in parts])
-        Q = [
-            [block if i == j else diagonal([fmpq(0)] * self.m) for j in range(len(parts))]
-            for i, (*_, block) in enumerate(parts)
-        ]
-        C = blocks([[k for _, _, k, _ in parts]])
-        for _, driven, _, _ in parts:
-            D = plus(D, driven, -1)
-        P, Q, C = _negative(P), _negative(blocks(Q)), _negative(C)
-        if "integral" in self.law:
-            k = product(diagonal(gains["alpha_psi"][0]), diagonal(gains["beta_psi"][0]))
-            empty = [[fmpq(0)] * self.m for _ in Q]
-            P, Q, C = (
-                blocks([[P], [product(k, gamma)]]),
-                blocks([[Q, empty], [transpose(empty), _negative(gains["R_psi"])]]),
-                blocks([[C, _negative(k)]]),
+            k = diagonal([a * b for a, b in zip(gains["alpha_l"][0], gains["beta_l"][0], strict=True)])
+            read = product(k, self.upsilon(len(self.star["eta"])), self.jacobian(self.star["eta"]))
+            parts.append(
+                (product(gains["R_l"], read), product(gains["R_l"], k, gains["K_l"]), product(k, gains["K_l"]), read)
             )
-        return P, Q, C, D
+        if "integral" in self.law:
+            k = diagonal([a * b for a, b in zip(gains["alpha_psi"][0], gains["beta_psi"][0], strict=True)])
+            parts.append((negative(product(k, gamma)), gains["R_psi"], k, product(zero, gamma)))
+        P, C = blocks([[part[0]] for part in parts]), blocks([[part[2] for part in parts]])
+        Q = blocks([[part[1] if part is other else zero for other in parts] for part in parts])
+        D = (
+            self.hessian(self.potential(variables(self.point[0], 2)[: self.half], fmpq))[: self.m]
+            if self.compensated
+            else product(zero, gamma)
+        )
+        for part in parts:
+            D = plus(D, part[3], -1)
+        return negative(P), negative(Q), negative(C), D
 
     def upsilon(self, s: int) -> Matrix:
         """The gain Upsilon, m x s."""
@@ -285,17 +266,8 @@ class System:
         """The transition over one period: u is held, and follows from the updated xi (backward Euler)."""
         (A, B), (P, Q, C, D) = self.plant, self.controller
         h = rational(self.model.words["sample"][1])
-        rows = [[v * h for v in (*a, *b)] for a, b in zip(A, B, strict=True)] + [[fmpq(0)] * (self.n + self.m)] * self.m
-        bits = ctx.prec
-        ctx.prec += min(4096, 3 * max(int(sum(abs(float(arb(v))) for v in row)) for row in rows))
-        held = arb_mat(rows).exp().tolist()[: self.n]
-        ctx.prec = bits
-        Ad, Bd = [row[: self.n] for row in held], [row[self.n :] for row in held]
+        Ad, Bd = zero_order_hold(A, B, h)
         xi = inverse(plus(diagonal([fmpq(1)] * len(Q)), Q, -h)) if Q else []
         x = product(xi, P, diagonal([h] * self.n)) if Q else []
         u = plus(D, product(C, x)) if Q else D
         return blocks([[plus(Ad, product(Bd, u)), product(Bd, C, xi) if Q else [[]] * self.n], [x, xi]])
-
-
-def _negative(a: Matrix) -> Matrix:
-    return [[-v for v in row] for row in a]

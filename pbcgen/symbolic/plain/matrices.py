@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import comb
 from typing import Any
 
-from flint import acb_mat, arb, arb_mat, fmpq
+from flint import acb_mat, arb, arb_mat, ctx, fmpq
 
-from pbcgen.symbolic.plain.values import sign
+from pbcgen.symbolic.plain.values import partial, sign, variables
 
 Matrix = list[list[Any]]
 
@@ -34,6 +34,11 @@ def product(*factors: Matrix) -> Matrix:
 def plus(a: Matrix, b: Matrix, scale: Any = 1) -> Matrix:
     """``a + scale b``."""
     return [[x + y * scale for x, y in zip(p, q, strict=True)] for p, q in zip(a, b, strict=True)]
+
+
+def negative(a: Matrix) -> Matrix:
+    """``-a``."""
+    return [[-v for v in row] for row in a]
 
 
 def diagonal(entries: Sequence[Any], columns: int | None = None) -> Matrix:
@@ -63,6 +68,35 @@ def is_definite(a: Matrix, semi: bool = False) -> bool:
     return sign(pivot) == 1 and is_definite(
         [[v - line[0] * h / pivot for v, h in zip(line[1:], row, strict=True)] for line in rest], semi
     )
+
+
+def krawczyk(
+    function: Callable[[Sequence[Any]], Sequence[Any]], centre: Sequence[fmpq], radius: fmpq
+) -> list[arb] | None:
+    """Balls that hold the one zero in the box of half-width ``radius (1 + abs(centre))``, or None if the test fails.
+
+    ``m - Y F(m) + (I - Y F'(box)) (box - m)`` must lie in the interior of the box (Krawczyk 1969).
+    """
+    size, half = range(len(centre)), [[arb(0, arb(radius * (1 + abs(c))))] for c in centre]
+    box = [c + h[0] for c, h in zip(centre, half, strict=True)]
+    value, near, over = function(centre), function(variables(centre)), function(variables(box))
+    Y = [[v.mid() for v in row] for row in inverse([[partial(f, k) for k in size] for f in near])]
+    defect = plus(diagonal([arb(1)] * len(box)), product(Y, [[partial(f, k) for k in size] for f in over]), -1)
+    image = plus(product(defect, half), product(Y, [[v] for v in value]), -1)
+    found = [c + row[0] for c, row in zip(centre, image, strict=True)]
+    return found if all(b.contains_interior(k) for b, k in zip(box, found, strict=True)) else None
+
+
+def zero_order_hold(A: Matrix, B: Matrix, h: fmpq) -> tuple[Matrix, Matrix]:
+    """``x' = A x + B u`` with u constant over h: (e^{Ah}, int_0^h e^{As} ds B)."""
+    n, m = len(A), len(B[0])
+    rows = [[v * h for v in (*a, *b)] for a, b in zip(A, B, strict=True)] + [[fmpq(0)] * (n + m)] * m
+    bits = ctx.prec
+    # The exponential loses bits in proportion to the norm; these pay for them.
+    ctx.prec += min(4096, 3 * max(int(sum(abs(float(arb(v))) for v in row)) for row in rows))
+    held = arb_mat(rows).exp().tolist()[:n]
+    ctx.prec = bits
+    return [row[:n] for row in held], [row[n:] for row in held]
 
 
 def stable(a: Matrix, discrete: bool) -> bool | None:

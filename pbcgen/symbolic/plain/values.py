@@ -22,6 +22,8 @@ _ENTIRE = {"exp", "sin", "cos", "tanh", "atan", "asinh", "erf"}
 _BOUNDED = {"sin", "cos", "tanh", "erf"}
 _AT_ZERO = {"exp": 1, "cos": 1} | dict.fromkeys([*_ODD, "sin", "sqrt"], 0)
 _FUNCTIONS = INCREASING | {"sin", "cos", "acos", "acosh"}
+#: Angles and exponents beyond this multiple of their unit are not expanded.
+_MOST_MULTIPLES = 24
 #: Functions with more terms than this are not written out.
 _MOST_TERMS = 5000
 
@@ -66,7 +68,7 @@ class NotCheckable(Exception):
 
 
 class Grow(Exception):
-    """A field needs more atoms: start again with a larger one."""
+    """A field needs more atoms, or finer units of an angle: start again with these settings."""
 
 
 def apply(name: str, *values: Any) -> Any:
@@ -168,14 +170,13 @@ class Field:
     function; a function that is not zero here may still be, when its atoms are related in a way not known here.
     """
 
-    def __init__(self, symbols: int, pool: int) -> None:
-        self.pool, self.closed = pool, False
+    def __init__(self, symbols: int, pool: int, units: dict[tuple[bool, str, str], fmpq] | None = None) -> None:
+        self.pool, self.closed, self.units = pool, False, units or {}
         self.ctx = fmpq_mpoly_ctx.get([f"a{k}" for k in range(pool)] + [f"v{k}" for k in range(symbols)], "lex")
         self.generators, self.one = self.ctx.gens(), self.ctx.constant(1)
         self.symbols = [Function(self, g, self.one) for g in self.generators[pool:]]
         self.atoms: dict[tuple[str, str, str], Function] = {}
         self.relations: list[fmpq_mpoly] = []
-        self.units: dict[tuple[bool, str, str], fmpq] = {}
         self.divisors: dict[str, fmpq_mpoly] = {}
 
     def lift(self, value: Any) -> Function:
@@ -201,7 +202,7 @@ class Field:
             if self.closed and kind not in _ENTIRE:
                 raise NotCheckable(f"{kind} occurs in a proof but not in the model")
             if len(self.atoms) == self.pool:
-                raise Grow
+                raise Grow(2 * self.pool, self.units)
             self.atoms[key] = a
             new = self.generators[self.pool - len(self.atoms)]
             if kind == "sqrt" and a.bottom.is_constant():
@@ -226,9 +227,12 @@ class Field:
         parts = []
         for exponents, coefficient in sorted(a.top.to_dict().items()):
             monomial = self.ctx.from_dict({exponents: 1})
-            unit = self.units.setdefault((angle, str(monomial), str(a.bottom)), abs(coefficient))
-            if (coefficient / unit).q != 1 or abs(coefficient / unit) > 24:
-                unit = abs(coefficient)
+            key = (angle, str(monomial), str(a.bottom))
+            unit = self.units.setdefault(key, abs(coefficient))
+            if (coefficient / unit).q != 1:
+                self.units[key] = unit / (coefficient / unit).q
+                raise Grow(self.pool, self.units)
+            unit = unit if abs(coefficient / unit) <= _MOST_MULTIPLES else abs(coefficient)
             parts.append((self.quotient(monomial * unit, a.bottom), int((coefficient / unit).p)))
         return parts
 

@@ -1,0 +1,212 @@
+"""What a certificate shows, and what it does not."""
+
+import json
+import re
+
+import pytest
+from certificates import REFERENCE, certificate_of, damped_oscillator, forged, oscillator, outcomes, signed, spoiled
+
+from pbcgen import Design, DynamicExtension, Limits
+from pbcgen.control.certificate import certificate
+from pbcgen.control.derive import derive
+from pbcgen.symbolic.plain.formulas import Malformed
+
+#: Claims that the checker has a check for.
+COVERED = {
+    "input-rank",
+    "equilibrium",
+    "assumption-1",
+    "passive-output",
+    "gradient-condition",
+    "hessian-condition",
+    "gain-definiteness",
+    "kc-bound",
+    "assumption-3",
+    "theta",
+    "measurability",
+    "saturation",
+    "stable",
+    "asymptotically-stable",
+    "sampled-stable",
+}
+
+
+@pytest.mark.parametrize("name", [*REFERENCE, "oscillator", "damped_oscillator", "fully_measured"])
+def test_every_verdict_is_checked_again(name):
+    document = certificate_of(name)
+    found = outcomes(document)
+    decided = {entry["claim"] for entry in document["claims"] if entry["status"] != "UNDECIDED"}
+    assert {claim for claim in decided & COVERED if found[claim] != "checked"} == set()
+    assert len(decided & COVERED) >= 11
+
+
+def test_the_certificate_is_the_same_for_the_same_design():
+    first, second = (json.dumps(certificate(derive(oscillator()))) for _ in range(2))
+    assert first == second
+
+
+def test_the_coupling_device_has_a_checked_counterexample_to_theta():
+    document = certificate_of("coupling_device")
+    status = {entry["claim"]: entry["status"] for entry in document["claims"]}
+    assert status["theta"] == "REFUTED"
+    assert outcomes(document)["theta"] == "checked"
+
+
+#: Numbers that prove nothing, or that others could stand for: names of methods, the width of a box, the last digits of
+#: its centre, a direction in which a form is negative.
+IDLE = re.compile(r'"method": "[^"]*$|"radius": "[^"]*$|"-?\d{60}\d*$|"rows": \[?$|"domain": "[^"]*$|"v": \[[^]]*$')
+
+
+@pytest.mark.parametrize("part", ["formulas", "readings", "terms", "claims"])
+@pytest.mark.parametrize("name", ["oscillator", "damped_oscillator", "fully_measured", "coupling_device", "rlc"])
+def test_another_digit_is_not_believed(name, part):
+    document = certificate_of(name)
+    text = json.dumps(document[part])
+    tried = 0
+    for place, changed in list(spoiled(document, part))[:: 1 if part != "claims" else 2]:
+        start = int(re.search(r"\d+", place)[0])
+        if IDLE.search(text[:start]) or "feedthrough" in text[:start] or "constant 0" in text[start - 9 : start + 1]:
+            continue
+        tried += 1
+        try:
+            found = outcomes(changed)
+        except Malformed:
+            continue
+        assert "fails" in found.values(), f"{place}: {text[start - 30 : start]}>{text[start]}<"
+    assert tried >= 5
+
+
+def test_another_parameter_under_the_proof_is_not_believed():
+    document = certificate_of("coupling_device")
+    for k, line in enumerate(document["model"]):
+        if line.startswith("parameter") and not line.startswith("parameter k "):  # the spring takes no power
+            changed = signed(document | {"model": [*document["model"][:k], line + "1", *document["model"][k + 1 :]]})
+            assert outcomes(changed)["assumption-1"] == "fails", line
+
+
+def test_a_tighter_limit_than_the_input_needs_is_not_believed():
+    document = certificate_of("coupling_device")
+    model = [line.replace("limit u -5 5", "limit u -5 4999/1000") for line in document["model"]]
+    assert outcomes(signed(document | {"model": model}))["saturation"] == "fails"
+
+
+BROKEN = {
+    "viscous friction with the wrong sign": {"friction_2": lambda p, q1, q2, v1, v2: -p.d * v2 + _tanh(v2)},
+    "dry friction with the wrong sign": {"friction_2": lambda p, q1, q2, v1, v2: p.d * v2 - _tanh(v2)},
+    "negative friction at the port": {"friction_1": lambda p, q1, q2, v1, v2: -p.d * v1 / p.m},
+    "a spring that pulls one side more": {"coupling": lambda p, q1, q2, v1, v2: 1.001},
+    "a spring that pushes": {"coupling": lambda p, q1, q2, v1, v2: -1},
+    "no energy of the wall": {"energy": lambda p, q1, q2, v1, v2: _energy(p, q1, q2, v1, v2, wall=0)},
+    "half the energy of the wall": {"energy": lambda p, q1, q2, v1, v2: _energy(p, q1, q2, v1, v2, wall=0.5)},
+    "negative energy of the spring": {"energy": lambda p, q1, q2, v1, v2: _energy(p, q1, q2, v1, v2, spring=-1)},
+    "a wall that pushes, its energy not": {"wall": lambda p, q1, q2, v1, v2: -p.c * q1},
+    "a wall that pushes hard": {
+        "wall": lambda p, q1, q2, v1, v2: -20 * p.c * q1,
+        "energy": lambda p, q1, q2, v1, v2: _energy(p, q1, q2, v1, v2, wall=-20),
+    },
+    "an actuator with the wrong sign": {"push": lambda p, q1, q2, v1, v2: -1},
+}
+
+
+def _tanh(v):
+    import casadi as ca
+
+    return ca.tanh(3 * v)
+
+
+def _energy(p, q1, q2, v1, v2, wall=1, spring=1):
+    return v1**2 / (2 * p.m) + v2**2 / 2 + spring * p.k * (q1 - q2) ** 2 / 2 + wall * p.c * q1**2 / 2
+
+
+@pytest.mark.parametrize("defect", BROKEN)
+def test_a_broken_model_is_not_believed(defect):
+    """Under the certificate of the good model, and under its own with every verdict forced to PROVED."""
+    design = oscillator(**BROKEN[defect])
+    derivation = derive(design)
+    truth = {claim.claim: claim.status for claim in derivation.claims}
+    assert "REFUTED" in truth.values()
+    own = json.loads(json.dumps(certificate(derivation)))
+    for document in (forged(certificate_of("oscillator"), design), forged(own, design)):
+        believed = {claim for claim, outcome in outcomes(document).items() if outcome == "checked"}
+        assert {claim for claim in believed if truth[claim] != "PROVED"} == set()
+
+
+@pytest.mark.parametrize("defect", BROKEN)
+def test_the_refutations_of_a_broken_model_are_checked(defect):
+    derivation = derive(oscillator(**BROKEN[defect]))
+    found = outcomes(json.loads(json.dumps(certificate(derivation))))
+    refuted = {claim.claim for claim in derivation.claims if claim.status == "REFUTED"} & COVERED
+    assert {claim for claim in refuted if found[claim] != "checked"} == set()
+
+
+def test_a_refutation_of_a_true_claim_is_not_believed():
+    document = certificate_of("oscillator")
+    for entry in document["claims"]:
+        entry["status"] = "REFUTED"
+        entry["witness"] = {"v": ["1", "0", "0", "0"], "x": ["1", "2", "3", "4"], "gain": "K_c"}
+    assert "checked" not in outcomes(signed(document)).values()
+
+
+@pytest.mark.parametrize(
+    ("gains", "limits", "wrong"),
+    [
+        ({"alpha": 4}, (-2, 3), {"saturation"}),
+        ({"beta": "1e6", "K_c": "1e6"}, (-2, 3), {"sampled-stable"}),
+        ({"alpha": "1/1000", "K_c": "1/1000"}, (-2, 3), set()),
+    ],
+)
+def test_other_gains_under_the_certificate(gains, limits, wrong):
+    plain = oscillator()
+    law = DynamicExtension(**({"alpha": 2, "beta": 1, "K_c": 1, "R_c": "1/2"} | gains))
+    design = Design(plain.system, target={"q1": "1/2"}, law=law, limits=Limits({"u": limits}), sample_period="1e-2")
+    truth = {claim.claim: str(claim.status) for claim in derive(design).claims}
+    found = outcomes(forged(certificate_of("oscillator"), design))
+    assert {claim for claim in COVERED & {*truth} if (found[claim] == "checked") != (truth[claim] == "PROVED")} == set()
+    assert wrong <= {claim for claim in truth if truth[claim] != "PROVED"}
+
+
+def test_theta_at_its_margin():
+    """K_l R_l >= (1/Lambda_l + 1/Lambda_c)/4 = (4 + 4)/4 = 2; touching zero counts."""
+    for K_l, status in (("2", "PROVED"), ("1.999999", "REFUTED"), ("2.000001", "PROVED")):
+        derivation = derive(damped_oscillator(K_l))
+        assert {c.claim: str(c.status) for c in derivation.claims}["theta"] == status
+        document = json.loads(json.dumps(certificate(derivation)))
+        assert outcomes(document)["theta"] == "checked"
+        other = "REFUTED" if status == "PROVED" else "PROVED"
+        for entry in document["claims"]:
+            entry["status"] = other if entry["claim"] == "theta" else entry["status"]
+        assert outcomes(signed(document))["theta"] == "fails"
+
+
+def test_a_claim_that_nobody_knows_fails():
+    document = certificate_of("oscillator")
+    document["claims"][0]["claim"] = "assumption-4"
+    assert outcomes(signed(document))["assumption-4"] == "fails"
+
+
+def test_claims_without_a_witness_are_recorded_not_checked():
+    document = certificate_of("oscillator")
+    for entry in document["claims"]:
+        if entry["claim"] == "assumption-1":
+            entry["witness"] = None
+    assert outcomes(signed(document))["assumption-1"] == "recorded"
+
+
+def test_an_empty_domain_has_no_equilibrium():
+    document = certificate_of("oscillator")
+    model = [*document["model"], "domain q1 1 -1"]
+    assert outcomes(signed(document | {"model": model}))["equilibrium"] == "fails"
+
+
+def test_formulas_cannot_stand_in_for_the_model():
+    """A certificate that defines f, S or the measurement again is read with the model's."""
+    design = oscillator(**BROKEN["viscous friction with the wrong sign"])
+    good = certificate_of("oscillator")
+    document = forged(good, design)
+    model = [line for line in good["model"] if re.match(r" |f |S ", line)]
+    document["formulas"] = [*model, f"gamma 1x1 0,0:{_place(model, 'state 0')}"]
+    assert outcomes(signed(document))["assumption-1"] == "fails"
+
+
+def _place(lines, instruction):
+    return next(line.split()[0] for line in lines if line.endswith(instruction))

@@ -1,0 +1,147 @@
+"""The second reading of formulas against the first, and against CasADi's derivatives."""
+
+from fractions import Fraction
+
+import casadi as ca
+import numpy as np
+import pytest
+from flint import arb, fmpq
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pbcgen.control.writing import Writing
+from pbcgen.symbolic.plain.formulas import Formulas, rational
+from pbcgen.symbolic.plain.matrices import is_definite, krawczyk, stable
+from pbcgen.symbolic.plain.values import Field, Grow, NotCheckable, apply, partial, plain, sign, variables
+from pbcgen.symbolic.real import REAL, approximate, precision
+from pbcgen.symbolic.real import rational as exact
+from pbcgen.symbolic.tape import Tape
+
+x, y = ca.SX.sym("x"), ca.SX.sym("y")
+POINT = [Fraction(3, 7), Fraction(-5, 11)]
+
+LEAVES = st.sampled_from([x, y, ca.SX(2), ca.SX(0.25), x + y, 3 * x])
+UNARY = st.sampled_from([ca.sin, ca.cos, ca.tanh, ca.exp, ca.atan, ca.asinh, lambda a: a**2, lambda a: -a, ca.sinh])
+BINARY = st.sampled_from([lambda a, b: a + b, lambda a, b: a - b, lambda a, b: a * b, lambda a, b: a / (2 + b * b)])
+EXPRESSIONS = st.recursive(
+    LEAVES,
+    lambda inner: st.one_of(
+        st.builds(lambda f, a: f(a), UNARY, inner), st.builds(lambda f, a, b: f(a, b), BINARY, inner, inner)
+    ),
+    max_leaves=5,
+)
+
+
+def formulas_of(expression):
+    writing = Writing()
+    (matrix,) = writing.tape(Tape.of([ca.vertcat(x, y)], [ca.densify(expression)]), ["state"], {})
+    writing.output("e", matrix.shape, matrix.entries)
+    return Formulas.parse(writing.lines())
+
+
+def value(formulas, state, lift=fmpq):
+    return formulas.matrix("e", formulas.walk(lift, {"state": state}))[0][0]
+
+
+@settings(max_examples=60, deadline=None)
+@given(EXPRESSIONS)
+def test_numbers_functions_and_derivatives_agree(expression):
+    formulas, point = formulas_of(expression), [exact(v) for v in POINT]
+    first = Tape.of([ca.vertcat(x, y)], [ca.densify(expression)]).walk(REAL, [point])[0].dense(fmpq(0))[0][0]
+    assert arb(value(formulas, point)).overlaps(arb(first))
+    dual = value(formulas, variables(point, 2))
+    H, g = ca.hessian(expression, ca.vertcat(x, y))
+    numbers = ca.Function("d", [ca.vertcat(x, y)], [ca.densify(g), ca.densify(H)])([float(v) for v in POINT])
+    slopes = [approximate(plain(partial(dual, k))) for k in range(2)]
+    bends = [[approximate(plain(partial(partial(dual, i), k))) for k in range(2)] for i in range(2)]
+    np.testing.assert_allclose(slopes, np.array(numbers[0]).ravel(), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(bends, np.array(numbers[1]), rtol=1e-8, atol=1e-8)
+    field = Field(2, 64)
+    try:
+        function = field.lift(value(formulas, field.symbols, field.lift))
+    except (NotCheckable, Grow):
+        return
+    there = field.at(function.top, point) / field.at(function.bottom, point)
+    assert arb(there).overlaps(arb(first))
+
+
+@pytest.mark.parametrize(
+    "zero",
+    [
+        ca.sin(x + y) - ca.sin(x) * ca.cos(y) - ca.cos(x) * ca.sin(y),
+        ca.sin(x) ** 2 + ca.cos(x) ** 2 - 1,
+        ca.cos(2 * x) - 1 + 2 * ca.sin(x) ** 2,
+        ca.exp(2 * x) - ca.exp(x) ** 2,
+        ca.exp(x + y) * ca.exp(-y) - ca.exp(x),
+        ca.tanh(-3 * x) + ca.tanh(3 * x),
+        ca.sqrt(1 + x**2) ** 2 - 1 - x**2,
+        (x**2 - y**2) / (x - y) - x - y,
+        ca.cosh(x) ** 2 - ca.sinh(x) ** 2 - 1,
+        ca.tan(x) * ca.cos(x) - ca.sin(x),
+    ],
+    ids=str,
+)
+def test_identities_are_known(zero):
+    field = Field(2, 4)
+    for _ in range(9):
+        try:
+            assert field.lift(value(formulas_of(zero), field.symbols, field.lift)).top.is_zero()
+            return
+        except Grow as larger:
+            field = Field(2, *larger.args)
+    pytest.fail("it does not settle")
+
+
+def test_a_divisor_that_is_the_zero_function_for_some_states_is_noted():
+    field = Field(2, 16)
+    a = field.symbols[0]
+    root = apply("sqrt", a * a)
+    assert (root - a).top
+    hidden = ((root - a) * (root + a)) / (root + a)
+    assert hidden.top.is_zero()
+    (divisor,) = field.divisors.values()
+    assert sign(arb(field.at(divisor, [fmpq(-1), fmpq(1)]))) in (0, None)
+
+
+@pytest.mark.parametrize("text", ["-3", "2/7", "1.5", "2e-70", "-12345e-3", "0"])
+def test_numbers_are_read_exactly(text):
+    number = rational(text)
+    assert Fraction(int(number.p), int(number.q)) == Fraction(text)
+
+
+def test_what_has_no_exact_meaning_is_named():
+    with pytest.raises(NotCheckable, match="fabs"):
+        value(formulas_of(ca.fabs(x)), [fmpq(1), fmpq(1)])
+
+
+@pytest.mark.parametrize("eigenvalue", ["1", "1/1000000", "0", "-1/1000000"])
+def test_definiteness_is_exact_at_the_margin(eigenvalue):
+    e = rational(eigenvalue)
+    matrix = [[1 + e, fmpq(1)], [fmpq(1), 1 + e]]
+    assert is_definite(matrix) is bool(e > 0)
+    assert is_definite(matrix, semi=True) is bool(e >= 0)
+
+
+@pytest.mark.parametrize(
+    ("diagonal", "continuous", "discrete"), [("-1/2", True, True), ("-2", True, False), ("1/2", False, True)]
+)
+def test_stability_of_both_kinds(diagonal, continuous, discrete):
+    matrix = [[rational(diagonal), fmpq(1)], [fmpq(0), rational(diagonal)]]
+    assert stable(matrix, False) is continuous
+    assert stable(matrix, True) is discrete
+
+
+def test_an_eigenvalue_on_the_boundary_decides_nothing():
+    assert stable([[fmpq(0), fmpq(1)], [fmpq(-1), fmpq(0)]], False) is None
+
+
+def test_krawczyk_encloses_the_zero_and_refuses_what_is_none():
+    def system(z):
+        return [z[0] * z[0] - 2]
+
+    with precision(200):
+        (root,) = krawczyk(
+            system, [rational("1.41421356237309504880168872420969807856967187537694")], rational("1e-40")
+        )
+        assert root.overlaps(arb(2).sqrt())
+        assert krawczyk(system, [rational("1.4142")], rational("1e-40")) is None
