@@ -127,8 +127,14 @@ def enclose(lo: Fraction, hi: Fraction) -> arb:
 
 
 def approximate(value: Real) -> float:
-    """The nearest double to the midpoint, NaN if nothing is known."""
-    return float(midpoint(value)) if is_finite(value) else float("nan")
+    """The nearest double to the midpoint; infinite beyond the range of doubles, NaN if nothing is known."""
+    if not is_finite(value):
+        return float("nan")
+    try:
+        return float(midpoint(value))
+    except OverflowError:
+        huge = not isinstance(value, arb) or abs(value) > 1
+        return float("inf") * (1 if value > 0 else -1) if huge else 0.0
 
 
 def text(value: Real, digits: int = 12) -> str:
