@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,8 +14,12 @@ from pbcgen.cli.terminal import progress
 from pbcgen.errors import ModelError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rich.console import Console
 
+    from pbcgen.emit import Package
+    from pbcgen.models.design import Design
     from pbcgen.pipeline import Report
 
 
@@ -29,6 +34,17 @@ def register(app: typer.Typer) -> None:
             str | None,
             typer.Option("--before", metavar="MODEL", help="Compare with this earlier design.", show_default=False),
         ] = None,
+        law: Annotated[
+            Path | None,
+            typer.Option("--law", metavar="FILE", help="The law that `pbcgen tune -o FILE` wrote."),
+        ] = None,
+        region: Annotated[
+            float, typer.Option("--region", metavar="SECONDS", help="Look for a region of attraction so long.", min=0)
+        ] = 0.0,
+        target: Annotated[
+            list[str] | None,
+            typer.Option("--target", metavar="CPU", help="Measure a step there, as in generate.", show_default=False),
+        ] = None,
         precision: options.PrecisionOption = None,
         sample_period: options.SamplePeriod = None,
         allow: options.Allow = None,
@@ -36,39 +52,96 @@ def register(app: typer.Typer) -> None:
     ) -> Outcome:
         """Write one self-contained page: derivation, verdicts, plots, the C interface."""
         settings = options.Settings(precision, sample_period, options.claims(allow))
-        return run(model, output, settings, before=before, json=json)
+        wishes = Wishes(before, law, region, tuple(target or ()))
+        return run(model, output, settings, wishes, json=json)
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a page may hold beside the check.
+
+    Attributes:
+        before: an earlier design to compare with.
+        law: a file with a law that takes the place of the model's; the model's own is then `before`.
+        region: seconds for a region of attraction; 0 for none.
+        targets: processors to measure a step on.
+    """
+
+    before: str | None = None
+    law: Path | None = None
+    region: float = 0.0
+    targets: tuple[str, ...] = ()
 
 
 def run(
-    model: str, output: Path, settings: options.Settings, *, before: str | None = None, json: bool = False
+    model: str, output: Path, settings: options.Settings, wishes: Wishes | None = None, *, json: bool = False
 ) -> Outcome:
     """Write the page, also of a design that is not proved: then it says why there is no code.
 
     Raises ModelError for a model or an option that is not right, and for a file that cannot be written.
     """
     from pbcgen import pipeline
-    from pbcgen.models.loader import load
     from pbcgen.report.page import page, verdict
 
+    wishes = wishes or Wishes()
     _check(output)
     with progress("load") as tell:
-        report = pipeline.check(settings.design(model), progress=tell)
-        earlier = None if before is None else pipeline.check(load(before), progress=tell)
-        generated = None
-        if report.control is not None and not report.blocking(settings.allow):
-            generated = pipeline.package(report, allow=settings.allow)
-        text = page(report, generated, before=earlier, progress=tell)
+        design, earlier = _designs(model, settings, wishes)
+        report = pipeline.check(design, progress=tell)
+        before = None if earlier is None else pipeline.check(earlier, progress=tell)
+        package = _package(report, settings, wishes, tell)
+        found = None
+        if wishes.region and report.derivation.situation is not None:
+            tell("region of attraction")
+            found = pipeline.region(report, wishes.region)
+        text = page(report, package, before=before, region=found, progress=tell)
         _write(output, text)
     size = len(text.encode())
 
     def show(console: Console) -> None:
         console.print(verdict(report), style="bold")
         console.print(f"Wrote {output}, {size / 1000:.0f} kB; it needs no network.", soft_wrap=True)
-        if generated is None:
+        if package is None:
             console.print("There is no C package in it: the claims that code needs are not all proved.")
         console.print(f"Next: open {output} in a browser, or print it to PDF from there", style="bold", soft_wrap=True)
 
     return Outcome(show, _document(report, output, size) if json else None)
+
+
+def _designs(model: str, settings: options.Settings, wishes: Wishes) -> tuple[Design, Design | None]:
+    """The design of the page, and the one that it is compared with."""
+    from pbcgen.models.loader import load
+
+    design = settings.design(model)
+    earlier = None if wishes.before is None else load(wishes.before)
+    if wishes.law is None:
+        return design, earlier
+    return design.with_(law=_law(wishes.law)), earlier or design
+
+
+def _law(path: Path) -> object:
+    """The `law` of a file that `pbcgen tune` wrote."""
+    import runpy
+
+    try:
+        return runpy.run_path(str(path))["law"]
+    except OSError as error:
+        raise ModelError(f"`{path}` cannot be read: {error.strerror}") from error
+    except KeyError:
+        raise ModelError(f"`{path}` has no `law`: give the file that `pbcgen tune -o FILE` wrote") from None
+
+
+def _package(report: Report, settings: options.Settings, wishes: Wishes, tell: Callable[[str], None]) -> Package | None:
+    """The package that `generate` would write, or None while claims are open."""
+    from pbcgen import pipeline
+
+    if report.control is None or report.blocking(settings.allow):
+        return None
+    rendered = pipeline.package(report, allow=settings.allow)
+    if not wishes.targets:
+        return rendered
+    figures = pipeline.measured(report, rendered, wishes.targets, tell)
+    return pipeline.package(report, allow=settings.allow, figures=figures)
 
 
 def _document(report: Report, output: Path, size: int) -> dict[str, Any]:

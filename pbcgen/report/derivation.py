@@ -17,7 +17,6 @@ from pbcgen.models.design import Design
 from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation, gains
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.shaping import Shape, diagonal, shape_at
-from pbcgen.passivity.storage import assumption_1
 from pbcgen.proof.definite import eigenvalues
 from pbcgen.report.mathematics import (
     LARGEST_MATRIX,
@@ -203,7 +202,7 @@ def _storage(d: Derivation) -> Step:
     if not mechanical:
         gradient = [row[0] for row in _exactly(plant, plant.gradient)]
         formulas.append(Formula("Gradient of the storage", rf"\nabla S(x) = {column(gradient)}"))
-    structure = assumption_1(plant).structure
+    structure = d.structure
     if structure is not None and not mechanical:
         relation = r"f = F \nabla S - \rho" if structure.form == "F" else r"\nabla S = A f"
         value = rf"{structure.form} = {matrix(_exactly(plant, ca.densify(structure.matrix)))}"
@@ -553,10 +552,10 @@ def _sampled(d: Derivation) -> Step:
 
 def _sampled_bound(d: Derivation) -> Iterator[Formula]:
     """h <= 2 lambda_min(Lambda_c diag(alpha beta)^-1) where the damping of the output is known (law (uc))."""
-    bound = d.derived.get("sampled_lyapunov_bound")
+    bound = (d.derived.get("sample_periods") or {}).get("lyapunov_stable_to")
     if bound is not None:
         yield Formula(
-            "The Lyapunov function decreases at the samples for",
+            "The Lyapunov function does not grow from sample to sample for",
             rf"h \le 2 \lambda_{{\min}}\left(\Lambda_c\, \text{{diag}}(\alpha\beta)^{{-1}}\right) "
             rf"= {number(float(bound))}\ \text{{s}}",
         )

@@ -15,6 +15,7 @@ import jinja2
 from markupsafe import Markup
 
 import pbcgen
+from pbcgen.control.attraction import Region
 from pbcgen.emit import Package
 from pbcgen.emit.templating import template_directory
 from pbcgen.models.exact import decimal
@@ -53,6 +54,7 @@ MEANINGS: Mapping[str, str] = {
     "asymptotically-stable": "trajectories that start near x* converge to it",
     "globally-asymptotically-stable": "every trajectory converges to x*",
     "sampled-stable": "the loop with the C at this sample period converges from nearby",
+    "region-of-attraction": "every trajectory that starts in this set converges to x*",
 }
 
 
@@ -70,6 +72,7 @@ def page(
     package: Package | None = None,
     *,
     before: Report | None = None,
+    region: Region | None = None,
     progress: Progress = None,
 ) -> str:
     """The page of a checked design as HTML.
@@ -78,6 +81,7 @@ def page(
         report: the check.
         package: the C that was generated from it, or None when there is none.
         before: the check of an earlier design to compare with, such as the one before tuning.
+        region: the region of attraction, if one was looked for.
         progress: told the name of each stage.
 
     Returns:
@@ -86,7 +90,7 @@ def page(
     curves = simulate(report, package, before, progress)
     if progress:
         progress("page")
-    return _environment().get_template("page.html.j2").render(_context(report, package, before, curves))
+    return _environment().get_template("page.html.j2").render(_context(report, package, before, region, curves))
 
 
 @cache
@@ -135,10 +139,12 @@ def figure(value: float | None, digits: int = 5) -> str:
     return DASH if value is None else f"{value:.{digits}g}".replace("-", MINUS)
 
 
-def _context(report: Report, package: Package | None, before: Report | None, curves: Curves | None) -> dict[str, Any]:
+def _context(
+    report: Report, package: Package | None, before: Report | None, region: Region | None, curves: Curves | None
+) -> dict[str, Any]:
     design, system = report.design, report.design.system
     states, inputs = ([], []) if curves is None else signal_figures(report, curves)
-    plots = None if curves is None else plot_data(report, curves)
+    plots = None if curves is None else plot_data(report, curves, region)
     text = certificate(report)
     return {
         "report": report,
@@ -164,6 +170,8 @@ def _context(report: Report, package: Package | None, before: Report | None, cur
         "certificate_hash": hashlib.sha256(text.encode()).hexdigest(),
         "comparison": [] if before is None else compare(before, report),
         "before": before,
+        "region": region,
+        "starts_inside": region is not None and report.loop is not None and region.contains(list(report.loop.initial)),
         "version": pbcgen.__version__,
         "style": _style(),
     }

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from pbcgen.control.attraction import Region
 from pbcgen.pipeline import Report
 from pbcgen.report.curves import Curves, Run
 from pbcgen.report.plots import Panel, panels
@@ -24,13 +25,13 @@ _PORTRAITS = 3
 _RUNS = (("continuous", "continuous", "band"), ("sampled", "sampled", "line"), ("before", "before", "dash"))
 
 
-def plot_data(report: Report, curves: Curves) -> dict[str, Any]:
-    """A JSON-able document: the time grid, panels over time, phase portraits."""
+def plot_data(report: Report, curves: Curves, region: Region | None = None) -> dict[str, Any]:
+    """A JSON-able document: the time grid, panels over time, phase portraits with the region of attraction."""
     columns = _Columns({})
     over_time = [*_signals(report, curves, columns), *_energy(curves, columns)]
     for k, panel in enumerate(over_time):
         panel["id"] = f"plot-{k + 1}"
-    portraits = list(_portraits(report, curves, columns))
+    portraits = list(_portraits(report, curves, columns, region))
     for k, panel in enumerate(portraits):
         panel["id"] = f"portrait-{k + 1}"
     return {"times": rounded(curves.times), "columns": columns.values, "panels": over_time, "portraits": portraits}
@@ -132,12 +133,13 @@ def _energy(curves: Curves, columns: _Columns) -> Iterator[dict[str, Any]]:
 # --- phase portraits ---------------------------------------------------------------------------------------------
 
 
-def _portraits(report: Report, curves: Curves, columns: _Columns) -> Iterator[dict[str, Any]]:
+def _portraits(report: Report, curves: Curves, columns: _Columns, region: Region | None) -> Iterator[dict[str, Any]]:
     loop = report.loop
     if loop is None or (curves.sampled or curves.continuous) is None:
         return
     names = loop.state_names
     for i, j in coordinate_pairs(report)[:_PORTRAITS]:
+        outline = [] if region is None else region_outline(report, region, i, j)
         series = [
             {
                 "label": label,
@@ -148,15 +150,18 @@ def _portraits(report: Report, curves: Curves, columns: _Columns) -> Iterator[di
             }
             for label, style, run in _runs(curves)
         ]
+        runs = [run.x for _, _, run in _runs(curves)]
+        alt = f"The path of ({names[i]}, {names[j]}) from the start, marked by a ring, to x*, marked by a cross"
         yield {
             "title": f"{names[j]} over {names[i]}",
             "x_title": _with_unit(names[i], loop.state_units[i]),
             "y_title": _with_unit(names[j], loop.state_units[j]),
             "series": series,
+            "region": outline,
             "target": [float(loop.x_star[i]), float(loop.x_star[j])],
-            "x_range": _range([run.x[:, i] for _, _, run in _runs(curves)]),
-            "y_range": _range([run.x[:, j] for _, _, run in _runs(curves)]),
-            "alt": f"The path of ({names[i]}, {names[j]}) from the start, marked by a ring, to x*, marked by a cross.",
+            "x_range": _range([*(x[:, i] for x in runs), *(np.array(line[0]) for line in outline)]),
+            "y_range": _range([*(x[:, j] for x in runs), *(np.array(line[1]) for line in outline)]),
+            "alt": alt + (", inside the shaded region of attraction." if outline else "."),
         }
 
 
@@ -175,6 +180,24 @@ def coordinate_pairs(report: Report) -> list[tuple[int, int]]:
         drivers = [j for j in range(system.n) if j != i and ca.depends_on(system.f[i], system.x[j])]
         pairs += [(i, j) for j in drivers[:1]]
     return pairs
+
+
+def region_outline(report: Report, region: Region, i: int, j: int, count: int = 81) -> list[list[list[float | None]]]:
+    """The cut of a region of attraction with the plane of two states through x*, as closed lines [xs, ys]."""
+    from contourpy import contour_generator
+
+    if report.loop is None or region.height is None or not region.box:
+        return []
+    names = report.loop.state_names
+    axes = [np.linspace(*region.box[names[k]], count) for k in (i, j)]
+    point = report.loop.x_star.copy()
+    heights = np.empty((count, count))
+    for row, second in enumerate(axes[1]):
+        for column, first in enumerate(axes[0]):
+            point[i], point[j] = first, second
+            heights[row, column] = region.height(point.tolist())
+    lines = contour_generator(axes[0], axes[1], heights).lines(region.level)
+    return [[rounded(np.asarray(line)[:, 0]), rounded(np.asarray(line)[:, 1])] for line in lines]
 
 
 def _with_unit(name: str, unit: str) -> str:

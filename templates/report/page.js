@@ -109,7 +109,7 @@
         label: s.label, stroke: stroke(s), width: width(s), dash: DASH[s.style], points: { show: false }, cap: "round",
         paths: s.style === "step" ? uPlot.paths.stepped({ align: 1 }) : undefined, spanGaps: false,
       }))],
-      axes: [axis("time [s]", { values: ticks, size: 30 }), axis(undefined, { values: ticks, size: 62, ...(panel.kind === "energy" ? { splits: powers } : {}) })],
+      axes: [axis("time [s]", { values: ticks, size: 30 }), axis(undefined, { values: ticks, size: 62, ...(panel.kind === "energy" ? { splits: powers, values: (u, vs) => vs.map((v) => v === null ? "" : v.toExponential(0).replace("-", "−")) } : {}) })],
       cursor: { sync: { key: "loop" }, drag: { x: true, y: false, setScale: true }, points: { size: 6 } },
       legend: { show: false },
       hooks: { setScale: [(u, key) => { if (key === "x") { follow(u); } }], setCursor: [(u) => read(u, figure, panel)] },
@@ -156,6 +156,23 @@
     c.restore();
     return null;
   }
+  function region(u, panel) {
+    const c = u.ctx;
+    c.save();
+    c.beginPath();
+    c.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height);
+    c.clip();
+    (panel.region || []).forEach(([xs, ys]) => {
+      c.beginPath();
+      xs.forEach((x, k) => c[k ? "lineTo" : "moveTo"](u.valToPos(x, "x", true), u.valToPos(ys[k], "y", true)));
+      c.fillStyle = faded(colour("--c2")).replace("0.32", "0.12");
+      c.strokeStyle = colour("--c2");
+      c.lineWidth = pixels();
+      c.fill();
+      c.stroke();
+    });
+    c.restore();
+  }
   function marks(u, panel) {
     const c = u.ctx, r = 5 * pixels(), at = (x, y) => [u.valToPos(x, "x", true), u.valToPos(y, "y", true)];
     const [sx, sy] = at(panel.series[0].x[0], panel.series[0].y[0]), [tx, ty] = at(...panel.target);
@@ -178,6 +195,7 @@
       cursor: { drag: { x: true, y: true, setScale: true }, points: { show: false }, bind: { dblclick: (u) => () => { whole(u); return null; } } },
       legend: { show: false },
       hooks: {
+        drawClear: [(u) => region(u, panel)],
         draw: [(u) => marks(u, panel)],
         setCursor: [(u) => {
           const { left, top } = u.cursor, line = figure.querySelector(".readout");

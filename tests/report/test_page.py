@@ -8,6 +8,7 @@ import pytest
 from designs import circuit, circuit_page, refused
 
 from pbcgen import pipeline
+from pbcgen.control.attraction import Region
 from pbcgen.models.loader import load
 from pbcgen.proof.claim import Status
 from pbcgen.report.page import page
@@ -122,3 +123,23 @@ def test_two_designs_can_be_compared():
     data = json.loads(re.search(r'id="plot-data">(.*?)</script>', text, re.DOTALL)[1])
     assert "before x2" in data["columns"]
     assert all(len(c) == len(data["times"]) for c in data["columns"].values())
+
+
+def test_a_region_of_attraction_is_stated_and_drawn():
+    report, package = circuit()
+    names = report.loop.state_names
+    centre, radii = report.loop.x_star, [0.2, 0.2, 4.0]
+    box = {n: (c - r, c + r) for n, c, r in zip(names, centre, radii, strict=True)}
+
+    def height(x):
+        return sum(((v - c) / r) ** 2 for v, c, r in zip(x, centre, radii, strict=True))
+
+    region = Region(Status.PROVED, 0.81, box, "for this test", height)
+    text = page(report, package, region=region)
+    assert "Region of attraction" in text
+    assert "The initial state of the design is inside" in text
+    (portrait, *_) = json.loads(re.search(r'id="plot-data">(.*?)</script>', text, re.DOTALL)[1])["portraits"]
+    ((xs, _),) = portrait["region"]
+    i = names.index("x3")
+    assert max(xs) == pytest.approx(centre[i] + 0.9 * radii[i], abs=1e-3)
+    assert portrait["x_range"][1] > max(xs), "the whole outline is in the picture"
