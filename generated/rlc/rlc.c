@@ -12,20 +12,30 @@
 #error "The checks for NaN and infinity need IEEE arithmetic: compile without -ffast-math or -ffinite-math-only."
 #endif
 
-static int rlc_is_finite(float x)
+void rlc_init(rlc_state_t *state)
 {
-    return fabsf(x) <= 3.4028235e+38f; /* false for NaN */
+    if (state == 0)
+    {
+        return;
+    }
+    state->x_c = 0.0f;
 }
 
-/* A state beyond this magnitude cannot come from a step: it was corrupted. */
-static int rlc_is_bounded(float x)
+/* What is wrong with state and measurements, if anything; a corrupted state is reset. */
+static rlc_status_t rlc_examine(rlc_state_t *state, const rlc_input_t *input)
 {
-    return fabsf(x) <= 9.223372e+18f; /* false for NaN */
-}
+    rlc_status_t status = RLC_OK;
 
-static int rlc_is_valid(const rlc_state_t *state)
-{
-    return rlc_is_bounded(state->x_c);
+    if (!(((state->x_c * state->x_c)) <= 8.507059e+37f))
+    {
+        rlc_init(state);
+        status = RLC_STATE_RESET;
+    }
+    if (!(((input->x3 - input->x3)) == 0.0f)) /* x - x is NaN for NaN and infinity */
+    {
+        status = RLC_INVALID_INPUT;
+    }
+    return status;
 }
 
 static float rlc_clamp(float x, float low, float high)
@@ -39,47 +49,40 @@ static void rlc_fall_back(rlc_output_t *output)
     output->u = 3.0515f;
 }
 
-/* tanh is called here only: put a faster odd function with values in [-1, 1] here if you have one. */
-static float rlc_tanh(float x)
+/*
+ * tanh(r) for r >= 0: a rational function, at most 6 units in the last place (3.6e-07) off. The cut at 1 makes it 1
+ * beyond the interval of the fit, and where a product overflows: the comparison is false for NaN.
+ */
+static float rlc_tanh_of_magnitude(float r)
 {
-    return tanhf(x);
-}
+    const float y = r * r;
+    const float p = (((1.3384276e-08f * y + 2.0635813e-05f) * y + 0.0034974571f) * y + 0.13382687f) * y + 1.0f;
+    const float q = (((7.7902433e-07f * y + 0.00032885163f) * y + 0.025884358f) * y + 0.46716008f) * y + 1.0f;
+    const float quotient = r * p / q;
 
-/* max(r/(1 + mu), r - mu) is a start left of the root of s + mu tanh(s) = r; r, mu >= 0. */
-static float rlc_start(float mu, float r)
-{
-    const float a = r / (1.0f + mu);
-    const float b = r - mu;
-
-    return (a > b) ? a : b;
+    return (quotient < 1.0f) ? quotient : 1.0f;
 }
 
 /*
- * tanh(s) of the solution of s + mu tanh(s) = c, mu >= 0. Newton's method from the left of the root of a concave
- * increasing function converges monotonically; 1 step suffices for every c, with an error
- * of at most 2.1e-15 in s (in exact arithmetic).
+ * tanh(s) of the solution of s + mu tanh(s) = c for mu = 4.8019803e-05, at most 2.9e-07 off for every c (in exact
+ * arithmetic): a polynomial start, one tanh, and a Taylor step of order 2 in the error of the start.
  */
-static float rlc_solve(float mu, float c)
+static float rlc_solve_0(float c)
 {
+    const float mu = 4.8019803e-05f;
     const float r = fabsf(c);
-    float s = rlc_start(mu, r);
-    float t = rlc_tanh(s);
+    const float s = r * 0.99995196f;
+    float t;
+    float d;
+    float w;
+    float q;
 
-    for (int k = 0; k < 1; ++k)
-    {
-        s -= ((s - r) + mu * t) / (1.0f + mu * (1.0f - t * t));
-        t = rlc_tanh(s);
-    }
+    t = rlc_tanh_of_magnitude(s);
+    d = 1.0f - t * t;
+    w = 1.0f / (1.0f + mu * d);
+    q = ((s - r) + mu * t) * w;
+    t -= d * q;
     return (c < 0.0f) ? -t : t;
-}
-
-void rlc_init(rlc_state_t *state)
-{
-    if (state == 0)
-    {
-        return;
-    }
-    state->x_c = 0.0f;
 }
 
 rlc_status_t rlc_step(rlc_state_t *state, const rlc_input_t *input,
@@ -95,34 +98,28 @@ rlc_status_t rlc_step(rlc_state_t *state, const rlc_input_t *input,
         }
         return RLC_INVALID_ARGUMENT;
     }
-    if (!rlc_is_valid(state))
+    /* Squares, so that one comparison finds NaN, infinity and corruption; what it was is found out only then. */
+    if (!(((input->x3 * input->x3) + (state->x_c * state->x_c)) <= 8.507059e+37f))
     {
-        rlc_init(state);
-        status = RLC_STATE_RESET;
-    }
-    if (!(rlc_is_finite(input->x3)))
-    {
-        rlc_fall_back(output);
-        return RLC_INVALID_INPUT;
+        status = rlc_examine(state, input);
+        if (status == RLC_INVALID_INPUT)
+        {
+            rlc_fall_back(output);
+            return status;
+        }
     }
 
     /* Prepare: the loop equation s + N tanh(s) = c. */
     const float v0 = 0.990099f * state->x_c;
     const float c0 = 100.0f * (input->x3 - 3.0515f) + v0;
-    if (!(rlc_is_finite(c0)))
-    {
-        rlc_fall_back(output);
-        return RLC_OUT_OF_RANGE;
-    }
 
     /* Solve it for t = tanh(s). */
-    const float t0 = rlc_solve(4.8019803e-05f, c0);
+    const float t0 = rlc_solve_0(c0);
 
     /* Update: the next state and the outputs. */
     const float next_x_c = v0 - 4.8019803e-05f * t0;
     const float out_u = 3.0515f + -0.0485f * t0;
-    if (!(rlc_is_bounded(next_x_c)
-          && rlc_is_finite(out_u)))
+    if (!(((next_x_c * next_x_c) + (out_u * out_u)) <= 8.507059e+37f))
     {
         rlc_fall_back(output);
         return RLC_OUT_OF_RANGE;

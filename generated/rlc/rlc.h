@@ -11,20 +11,20 @@
  *   u  V  [3.003, 3.1]  actuator
  *
  * Verdicts on the model (in exact or certified arithmetic; the C rounds):
- *   input-rank                      PROVED     all x
- *   equilibrium                     PROVED     at x*
- *   assumption-1                    PROVED     all x
- *   passive-output                  PROVED     all x
- *   gradient-condition              PROVED     at x*
- *   hessian-condition               PROVED     at x*
- *   gain-definiteness               PROVED     all x
- *   kc-bound                        PROVED     at x*
- *   measurability                   PROVED     all x
- *   saturation                      PROVED     all inputs
- *   stable                          PROVED     near x*
- *   asymptotically-stable           PROVED     near x*
- *   globally-asymptotically-stable  UNDECIDED  all x
- *   sampled-stable                  PROVED     sampled loop
+ *   input-rank                      PROVED  all x
+ *   equilibrium                     PROVED  at x*
+ *   assumption-1                    PROVED  all x
+ *   passive-output                  PROVED  all x
+ *   gradient-condition              PROVED  at x*
+ *   hessian-condition               PROVED  at x*
+ *   gain-definiteness               PROVED  all x
+ *   kc-bound                        PROVED  at x*
+ *   measurability                   PROVED  all x
+ *   saturation                      PROVED  all inputs
+ *   stable                          PROVED  near x*
+ *   asymptotically-stable           PROVED  near x*
+ *   globally-asymptotically-stable  PROVED  all x
+ *   sampled-stable                  PROVED  sampled loop
  */
 #ifndef RLC_H
 #define RLC_H
