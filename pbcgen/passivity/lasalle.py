@@ -24,6 +24,10 @@ from pbcgen.symbolic.tape import Tape
 
 #: Lie derivatives of an equation are followed up to this many times the number of states.
 _ROUNDS = 3
+
+#: Equations beyond these sizes are given up: nonlinear ones grow with every Lie derivative.
+_LARGEST_TAPE = 1500
+_MOST_TERMS = 600
 #: Instructions of all the expressions that one elimination may look at: some seconds of work.
 _BUDGET = 25_000
 
@@ -127,8 +131,13 @@ class _Elimination:
         if self.spent > _BUDGET:
             raise UnsupportedOperation("the equations of the invariant set grow too large")
         names = [*self.names, *plant.parameter_names]
+        if len(tape.instructions) > _LARGEST_TAPE:
+            raise UnsupportedOperation("the Lie derivatives grow too large to be eliminated")
         field_, (values,) = evaluate(tape, names, plant.values)
-        return field_, values.column(field_.const(0))
+        functions = values.column(field_.const(0))
+        if any(len(function.numerator) > _MOST_TERMS for function in functions):
+            raise UnsupportedOperation("the Lie derivatives grow too large to be eliminated")
+        return field_, functions
 
     def to_sx(self, element: Quotient) -> ca.SX:
         """An exact function as an expression."""
