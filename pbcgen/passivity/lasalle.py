@@ -128,15 +128,13 @@ class _Elimination:
         parameters = plant.parameter_symbols
         tape = Tape.of([ca.vertcat(*self.symbols), parameters], [ca.vertcat(*expressions)])
         self.spent += len(tape.instructions)
-        if self.spent > _BUDGET:
+        if self.spent > _BUDGET or len(tape.instructions) > _LARGEST_TAPE:
             raise UnsupportedOperation("the equations of the invariant set grow too large")
         names = [*self.names, *plant.parameter_names]
-        if len(tape.instructions) > _LARGEST_TAPE:
-            raise UnsupportedOperation("the Lie derivatives grow too large to be eliminated")
         field_, (values,) = evaluate(tape, names, plant.values)
         functions = values.column(field_.const(0))
         if any(len(function.numerator) > _MOST_TERMS for function in functions):
-            raise UnsupportedOperation("the Lie derivatives grow too large to be eliminated")
+            raise UnsupportedOperation("the equations of the invariant set grow too large")
         return field_, functions
 
     def to_sx(self, element: Quotient) -> ca.SX:
