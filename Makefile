@@ -9,7 +9,7 @@ SYSTEMS := coupling_device rlc pera pera_integral elastic_pendulum
 REFERENCE := coupling_device rlc pera
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test lint format generated figures docs clean
+.PHONY: help env demo test lint format generated figures docs firmware eva fuzz bench clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -63,6 +63,18 @@ figures: env ## draw the figures of docs/paper.md again, from the generated C
 docs: env ## build the documentation in build/site; a warning is an error
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	@echo build/site/index.html
+
+firmware: env ## run the C as a bare-metal image under QEMU (apt: gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm)
+	$(BIN)/python -m pytest tests/firmware -s -rs
+
+eva: env ## prove the absence of undefined behaviour in the C with Frama-C (apt: frama-c-base)
+	$(BIN)/python -m pytest tests/emit/test_eva.py -s -rs
+
+fuzz: env ## fuzz the step for 10 minutes (apt: clang); FUZZ_SECONDS=n for another time
+	FUZZ_SECONDS=$${FUZZ_SECONDS:-600} $(BIN)/python -m pytest tests/emit/test_fuzz.py -s -rs
+
+bench: env ## measure a step against other generators, into benchmarks/results/
+	$(BIN)/python -m benchmarks.step
 
 clean: ## remove everything that make wrote, .venv too
 	rm -rf .venv demo build dist .mypy_cache .ruff_cache .hypothesis

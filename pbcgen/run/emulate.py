@@ -1,6 +1,7 @@
 """The generated C on an emulated processor: exact instruction counts, sizes, stack, and its results.
 
-The package is compiled with ``zig cc`` and run in unicorn; both come from PyPI (the extras ``zig`` and ``emulate``).
+The package is compiled with ``zig cc`` and run in unicorn; both come from PyPI (the extras ``zig`` and ``emulate``). A
+GNU compiler for the target can take the place of zig.
 Every executed instruction counts one, the call's own return included, the call itself added.
 """
 
@@ -8,13 +9,14 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import shutil
 import struct
 import sys
 import tempfile
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from pbcgen.run.targets import Target
 
 Floats = NDArray[np.floating[Any]]
+CompilerName = Literal["zig", "gcc"]
 
 #: The optimisation that figures are stated for. Contraction is off: results equal the host's to the last bit.
 FLAGS: Final = ("-std=c99", "-O2", "-ffp-contract=off")
@@ -56,7 +59,13 @@ def missing_tools() -> str:
 class Emulated:
     """One controller on an emulated processor."""
 
-    def __init__(self, files: Mapping[str, str], target: Target, flags: Sequence[str] = FLAGS) -> None:
+    def __init__(
+        self,
+        files: Mapping[str, str],
+        target: Target,
+        flags: Sequence[str] = FLAGS,
+        compiler: CompilerName = "zig",
+    ) -> None:
         """Compile the package and load it.
 
         Raises ToolchainError if a tool is missing, or the package does not compile or link for the target.
@@ -66,7 +75,8 @@ class Emulated:
         self.interface = Interface.of_manifest(files[MANIFEST])
         self.target = target
         self.flags = tuple(flags)
-        self._image = _Image.build(files, self.interface, target, self.flags)
+        self.compiler = compiler
+        self._image = _Image.build(files, self.interface, target, self.flags, compiler)
         self._machine = _Machine(self._image, target)
         size = self.interface.dtype.itemsize
         self._size = size
@@ -128,7 +138,7 @@ class Emulated:
         return Figures(
             target=self.target.name,
             description=self.target.description,
-            compiler=f"{_compiler_version()} {' '.join(self.flags)}",
+            compiler=f"{_compiler_version(self.target, self.compiler)} {' '.join(self.flags)}",
             steps=len(self.counts),
             mean=float(np.mean(self.counts)),
             worst=max(self.counts),
@@ -140,7 +150,15 @@ class Emulated:
 
 
 def measure(
-    law: ControlLaw, files: Mapping[str, str], loop: ClosedLoop, target: Target, *, steps: int = 600, seed: int = 0
+    law: ControlLaw,
+    files: Mapping[str, str],
+    loop: ClosedLoop,
+    target: Target,
+    *,
+    flags: Sequence[str] = FLAGS,
+    compiler: CompilerName = "zig",
+    steps: int = 600,
+    seed: int = 0,
 ) -> Figures:
     """The figures over reachable inputs: the closed loop from its initial state, then random points around it.
 
@@ -149,6 +167,8 @@ def measure(
         files: the package.
         loop: the plant.
         target: where to run.
+        flags: of the compiler.
+        compiler: clang from the package ``ziglang``, or the target's GNU compiler.
         steps: number of steps of the closed loop, and of random points.
         seed: of the random points.
 
@@ -157,7 +177,7 @@ def measure(
         SimulationError: the closed loop cannot be simulated.
     """
     with np.errstate(all="ignore"):
-        controller = Emulated(files, target)
+        controller = Emulated(files, target, flags, compiler)
         duration = float(min(Fraction(loop.duration), steps * law.sample_period))
         run = simulate_sampled(loop, controller, law.sample_period, duration)
         measured = np.array(loop.measure.map(len(run.times))(run.x.T)).reshape(len(law.inputs), -1).T
@@ -179,24 +199,21 @@ class _Image:
     state_bytes: int
 
     @staticmethod
-    def build(files: Mapping[str, str], interface: Interface, target: Target, flags: Sequence[str]) -> _Image:
+    def build(
+        files: Mapping[str, str], interface: Interface, target: Target, flags: Sequence[str], compiler: CompilerName
+    ) -> _Image:
         prefix = interface.prefix
-        zig = [sys.executable, "-m", "ziglang", "cc", *target.zig]
         with tempfile.TemporaryDirectory(prefix="pbcgen-") as name:
             directory = Path(name)
             for file in (f"{prefix}.c", f"{prefix}.h"):
                 (directory / file).write_text(files[file], encoding="utf-8")
             (directory / "main.c").write_text(_main(prefix), encoding="utf-8")
-            freestanding = "-ffreestanding" in target.zig
-            if freestanding:
-                (directory / "math.h").write_text(_math_header(files[f"{prefix}.c"]), encoding="utf-8")
-                zig.append(f"-I{directory}")
-            compile_flags = [flag for flag in zig if flag not in ("-static", "-lcompiler_rt")]
+            (directory / "include").mkdir()
+            (directory / "include" / "math.h").write_text(_math_header(files[f"{prefix}.c"]), encoding="utf-8")
+            compiling, linking = _commands(target, compiler, directory)
             own, linked = directory / "own.o", directory / "image"
-            _run([*compile_flags, *flags, "-c", str(directory / f"{prefix}.c"), "-o", str(own)], target)
-            libraries = [] if freestanding else ["-lm"]
-            entry = ["-Wl,-e,main"] if freestanding else []
-            _run([*zig, *flags, str(directory / "main.c"), str(own), *entry, *libraries, "-o", str(linked)], target)
+            _run([*compiling, *flags, "-c", str(directory / f"{prefix}.c"), "-o", str(own)], target)
+            _run([*linking[:-1], *flags, str(directory / "main.c"), str(own), linking[-1], "-o", str(linked)], target)
             return _Image._read(own, linked)
 
     @staticmethod
@@ -265,6 +282,24 @@ _UNARY: Final = frozenset(
 _MATH: Final = frozenset(name + suffix for name in _BINARY | _UNARY for suffix in ("", "f"))
 
 
+def _commands(target: Target, compiler: CompilerName, directory: Path) -> tuple[list[str], list[str]]:
+    """How to compile, and how to link; the last word of the latter is the library."""
+    if compiler == "gcc":
+        if not target.gcc or shutil.which(target.gcc[0]) is None:
+            raise ToolchainError(f"there is no GNU compiler for {target.name}: install gcc-arm-none-eabi")
+        return [*target.gcc], [*target.gcc, "-nostartfiles", "-Wl,-e,main", "--specs=nosys.specs", "-lm"]
+    zig = [sys.executable, "-m", "ziglang", "cc", *target.zig]
+    if "-ffreestanding" not in target.zig:
+        return [flag for flag in zig if flag != "-static"], [*zig, "-lm"]
+    zig.append(f"-I{directory / 'include'}")
+    runtime = "-lcompiler_rt"
+    return [flag for flag in zig if flag != runtime], [
+        *(flag for flag in zig if flag != runtime),
+        "-Wl,-e,main",
+        runtime,
+    ]
+
+
 def _run(command: list[str], target: Target) -> None:
     result = run_tool(command)
     if result.returncode != 0:
@@ -272,10 +307,12 @@ def _run(command: list[str], target: Target) -> None:
         raise ToolchainError(f"the package does not build for {target.name}:\n{lines}")
 
 
-def _compiler_version() -> str:
-    """The clang inside zig."""
-    result = run_tool([sys.executable, "-m", "ziglang", "cc", "--version"])
-    return result.stdout.splitlines()[0].split(" (")[0] if result.stdout else "zig cc"
+def _compiler_version(target: Target, compiler: CompilerName) -> str:
+    """The compiler and its version; for zig, that of the clang inside."""
+    command = [target.gcc[0]] if compiler == "gcc" else [sys.executable, "-m", "ziglang", "cc"]
+    lines = run_tool([*command, "--version"]).stdout.splitlines() or [compiler]
+    version = re.search(r"\d+\.\d+\.\d+", lines[0])
+    return f"{'gcc' if compiler == 'gcc' else 'clang'} {version.group() if version else ''}".strip()
 
 
 class _Machine:
