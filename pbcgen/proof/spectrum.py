@@ -1,7 +1,8 @@
 """Hurwitz and Schur stability of matrices of exact numbers or balls.
 
-The characteristic polynomial is computed exactly (or in balls) and decided by the Routh array; nothing depends on
-floating-point eigenvalues. Those are computed with the working precision for display only.
+Up to a size the characteristic polynomial is computed exactly (or in balls) and decided by the Routh array; beyond, or
+where that does not decide, a Lyapunov matrix is verified in balls. Nothing depends on floating-point eigenvalues; those
+are computed for display only.
 """
 
 from __future__ import annotations
@@ -10,11 +11,31 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import comb
 
-from flint import acb, acb_mat, fmpq, fmpq_mat
+import numpy as np
+from flint import acb, acb_mat, ctx, fmpq, fmpq_mat
 
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, as_balls
-from pbcgen.symbolic.real import ZERO, Real, ball, in_high_precision, is_finite, midpoint, rational, sign
+from pbcgen.proof.lyapunov import Kind, LyapunovProof, lyapunov
+from pbcgen.symbolic.real import (
+    ZERO,
+    Real,
+    approximate,
+    ball,
+    in_high_precision,
+    is_finite,
+    midpoint,
+    precision,
+    rational,
+    sign,
+)
+
+#: Matrices up to this size are decided by the Routh array first, larger ones by a Lyapunov matrix.
+_LARGEST_ROUTH = 20
+#: Beyond this size the Routh array is not tried at all.
+_LARGEST_CHARACTERISTIC = 50
+#: Sizes up to which eigenvalues for display are computed with the working precision, and with fewer bits.
+_PRECISE, _LESS_PRECISE, _DISPLAY_BITS = 12, 24, 128
 
 
 @dataclass(frozen=True)
@@ -24,12 +45,14 @@ class Stability:
     Attributes:
         status: PROVED, REFUTED (some eigenvalue is certainly beyond the boundary), or UNDECIDED.
         extreme: the largest real part (Hurwitz) or modulus (Schur), rounded, for display.
-        routh: the first column of the Routh array, the certificate of PROVED.
+        routh: the first column of the Routh array, the certificate of PROVED; empty if a Lyapunov matrix decided.
+        lyapunov: that matrix.
     """
 
     status: Status
     extreme: float
     routh: tuple[Real, ...]
+    lyapunov: LyapunovProof | None = None
 
 
 def _is_exact(matrix: RealMatrix) -> bool:
@@ -64,26 +87,63 @@ def routh_column(coefficients: Sequence[Real]) -> list[Real] | None:
 
 @in_high_precision
 def approximate_eigenvalues(matrix: RealMatrix) -> list[complex]:
-    """Eigenvalues for display, computed with the working precision and rounded."""
+    """Eigenvalues for display: with the working precision, fewer bits for larger matrices, doubles for large ones."""
     if not matrix:
         return []
-    middle = acb_mat([[ball(rational(midpoint(entry))) for entry in row] for row in matrix])
-    values = middle.eig(algorithm="approx")
+    if len(matrix) > _LESS_PRECISE:
+        return _double_eigenvalues(matrix)
+    with precision(ctx.prec if len(matrix) <= _PRECISE else _DISPLAY_BITS):
+        middle = acb_mat([[ball(rational(midpoint(entry))) for entry in row] for row in matrix])
+        values = middle.eig(algorithm="approx")
     return sorted((complex(float(midpoint(v.real)), float(midpoint(v.imag))) for v in values), key=lambda z: -z.real)
 
 
-def _decide(matrix: RealMatrix, coefficients: list[Real], extreme: float, beyond: bool) -> Stability:
-    """Routh's criterion for ``coefficients``; ``beyond``: an eigenvalue was certified outside.
+def _double_eigenvalues(matrix: RealMatrix) -> list[complex]:
+    """Eigenvalues of the balanced matrix in double precision."""
+    from scipy.linalg import matrix_balance
+
+    balanced, _ = matrix_balance(np.array([[approximate(entry) for entry in row] for row in matrix], dtype=float))
+    return sorted((complex(z) for z in np.linalg.eigvals(balanced)), key=lambda z: -z.real)
+
+
+def _decide(matrix: RealMatrix, kind: Kind, extreme: float, outside: Callable[[acb], bool]) -> Stability:
+    """The Routh array and the Lyapunov matrix, in the order of their cost for this size.
 
     A leading coefficient without a certain sign (the Moebius image of an eigenvalue -1) decides nothing.
     """
-    column = routh_column(coefficients)
-    if column is not None and sign(column[0]) in (1, -1):
-        signs = {sign(entry) for entry in column}
-        if len(signs) == 1:
-            return Stability(Status.PROVED, extreme, tuple(column))
-        return Stability(Status.REFUTED, extreme, tuple(column))
-    return Stability(Status.REFUTED if beyond else Status.UNDECIDED, extreme, ())
+    size = len(matrix)
+    if size > _LARGEST_ROUTH:
+        proof = lyapunov(matrix, kind)
+        if proof.status is not Status.UNDECIDED:
+            return Stability(proof.status, extreme, (), proof)
+    if size <= _LARGEST_CHARACTERISTIC:
+        column = routh_column(_routh_polynomial(matrix, kind))
+        if column is not None and sign(column[0]) in (1, -1):
+            same = len({sign(entry) for entry in column}) == 1
+            return Stability(Status.PROVED if same else Status.REFUTED, extreme, tuple(column))
+    if size <= _LARGEST_ROUTH:
+        proof = lyapunov(matrix, kind)
+        if proof.status is not Status.UNDECIDED:
+            return Stability(proof.status, extreme, (), proof)
+        if _certified(matrix, outside):
+            return Stability(Status.REFUTED, extreme, ())
+    return Stability(Status.UNDECIDED, extreme, ())
+
+
+def _routh_polynomial(matrix: RealMatrix, kind: Kind) -> list[Real]:
+    """A polynomial with all zeros in the left half-plane iff the matrix is Hurwitz or Schur.
+
+    For Schur the substitution z = (1 + w)/(1 - w) maps the unit disc to the left half-plane.
+    """
+    coefficients = characteristic_polynomial(matrix)
+    if kind == "hurwitz":
+        return coefficients
+    size = len(matrix)
+    mapped: list[Real] = [ZERO] * (size + 1)
+    for power, coefficient in enumerate(coefficients):
+        for k, weight in enumerate(_moebius_term(power, size)):
+            mapped[k] = mapped[k] + coefficient * weight
+    return mapped
 
 
 @in_high_precision
@@ -92,24 +152,16 @@ def hurwitz(matrix: RealMatrix) -> Stability:
     if not all(is_finite(entry) for row in matrix for entry in row):
         return Stability(Status.UNDECIDED, float("nan"), ())
     extreme = max((z.real for z in approximate_eigenvalues(matrix)), default=float("-inf"))
-    return _decide(matrix, characteristic_polynomial(matrix), extreme, _certified(matrix, lambda z: z.real > 0))
+    return _decide(matrix, "hurwitz", extreme, lambda z: z.real > 0)
 
 
 @in_high_precision
 def schur(matrix: RealMatrix) -> Stability:
-    """Whether every eigenvalue has modulus below one; REFUTED when one is certainly above.
-
-    The substitution z = (1 + w)/(1 - w) maps the unit disc to the left half-plane.
-    """
+    """Whether every eigenvalue has modulus below one; REFUTED when one is certainly above."""
     if not all(is_finite(entry) for row in matrix for entry in row):
         return Stability(Status.UNDECIDED, float("nan"), ())
     extreme = max((abs(z) for z in approximate_eigenvalues(matrix)), default=0.0)
-    size = len(matrix)
-    mapped: list[Real] = [ZERO] * (size + 1)
-    for power, coefficient in enumerate(characteristic_polynomial(matrix)):
-        for k, weight in enumerate(_moebius_term(power, size)):
-            mapped[k] = mapped[k] + coefficient * weight
-    return _decide(matrix, mapped, extreme, _certified(matrix, lambda z: abs(z) > 1))
+    return _decide(matrix, "schur", extreme, lambda z: abs(z) > 1)
 
 
 def _moebius_term(power: int, size: int) -> list[fmpq]:
