@@ -1,0 +1,163 @@
+"""Claims about the choice of gains."""
+
+import json
+import re
+from fractions import Fraction
+
+import casadi as ca
+import pytest
+
+from pbcgen import AffineSystem, Design, DynamicExtension, Limits, Mechanical, ModelError, NotProved, pipeline
+from pbcgen.cli import execute
+from pbcgen.control.derive import derive
+from pbcgen.control.sampled import transition_matrix
+from pbcgen.control.trial import Trial, response
+from pbcgen.control.tune import Wish, expression, tune
+from pbcgen.models.loader import load
+from pbcgen.proof.claim import Status
+from pbcgen.proof.spectrum import schur
+
+
+def cart_pair():
+    """Two carts that a spring joins, a force on each: m = 2, no friction."""
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    model = Mechanical(
+        q=[q[0], q[1]],
+        p=[p[0], p[1]],
+        M=[1, 3],
+        V=2 * (q[0] - q[1]) ** 2,
+        G=ca.SX.eye(2),
+        inputs=["f1", "f2"],
+        measured={"a": q[0], "b": q[1]},
+    )
+    return Design(
+        model,
+        target=["0.5", "0.5"],
+        law=DynamicExtension(alpha=[1, 1], beta=[1, 1], K_c=[1, 1], R_c=[1, 1]),
+        limits=Limits.absolute([[1, 1], [1, -1]], [6, 6]),
+        sample_period="1e-2",
+        duration=20,
+        name="carts",
+    )
+
+
+def heated_tank():
+    """A tank with a heater through a wall: x' = -grad S with S quadratic, one input."""
+    u = ca.SX.sym("u")
+    names = [ca.SX.sym("wall"), ca.SX.sym("tank")]
+    w, t = names
+    return Design(
+        AffineSystem(x=names, u=[u], f=[-2 * w + t, w - 2 * t], g=[1, 0], S=(w**2 + t**2) / 2 + (w - t) ** 2 / 2),
+        target={"tank": 1},
+        law=DynamicExtension(alpha=1, beta=1, K_c=1, R_c=1),
+        limits=Limits({"u": (0, 5)}),
+        sample_period="0.05",
+        duration=10,
+        name="tank",
+    )
+
+
+def proved(design):
+    return {c.claim for c in derive(design).claims if c.status is Status.PROVED}
+
+
+def settling(design, duration):
+    found = derive(design)
+    trial = Trial(found.plant, found.point, found.gamma, found.eta, design, found.law, steps=2)
+    return response(trial.run(found.law, duration)).settling
+
+
+def test_rlc_at_10_khz_is_stable_with_margin():
+    design = load("rlc")
+    tuning = tune(design, Wish(effort=40, margin=Fraction(2)))
+    assert pipeline.check(tuning.design).emittable
+    found = derive(tuning.design)
+    from pbcgen.control.family import LoopFamily
+
+    family = LoopFamily.of(found.plant, found.point, found.gamma, found.eta)
+    longer = transition_matrix(family.loop(found.law), 2 * design.sample_period)
+    assert schur(longer).status is Status.PROVED
+    assert any("u <= 3.1" in line for line in tuning.chosen.active)
+
+
+def test_gains_meet_a_wish_on_the_pendulum():
+    design = load("elastic_pendulum")
+    tuning = tune(design, Wish(routes=("lyapunov",), settling=1.0, effort=120))
+    assert {"kc-bound", "hessian-condition", "sampled-stable", "saturation"} <= proved(tuning.design)
+    assert settling(tuning.design, 5) < 1.5 < settling(design, 10)
+
+
+def test_two_inputs_and_a_polyhedron():
+    design = cart_pair()
+    tuning = tune(design, Wish(routes=("linearisation",), effort=80))
+    assert pipeline.check(tuning.design).emittable
+    total = sum(tuning.design.law.alpha)
+    assert Fraction("5.9") < total <= 6
+    assert settling(tuning.design, 20) < settling(design, 20)
+
+
+def test_a_system_that_is_not_mechanical():
+    tuning = tune(heated_tank(), Wish(effort=40))
+    assert pipeline.check(tuning.design).emittable
+
+
+def test_the_same_seed_gives_the_same_gains():
+    wish = Wish(routes=("linearisation",), effort=30, seed=3)
+    assert tune(load("rlc"), wish).design.law == tune(load("rlc"), wish).design.law
+
+
+def test_gains_have_few_digits():
+    text = expression(tune(load("rlc"), Wish(routes=("linearisation",), effort=30)).design.law)
+    for number in re.findall(r'"([^"]+)"', text):
+        assert len(number.split("e")[0].strip("0.").replace(".", "").rstrip("0")) <= 4
+
+
+def test_an_infeasible_target_names_the_limit():
+    with pytest.raises(NotProved, match="u <= 3 "):
+        tune(load("rlc").with_(limits=Limits({"u": (0, 3)})))
+
+
+def test_wishes_are_checked():
+    for wrong in ({"settling": -1.0}, {"overshoot": -0.1}, {"margin": Fraction(1, 2)}, {"damping": 0.0}):
+        with pytest.raises(ModelError, match=r"expected|at least"):
+            Wish(**wrong)
+
+
+def test_command_prints_the_law_and_a_document(capsys, tmp_path):
+    law, picture = tmp_path / "law.py", tmp_path / "loop.png"
+    options = ["--effort", "20", "--route", "linearisation", "-o", str(law), "--plot", str(picture)]
+    assert execute(["tune", "rlc", "--json", *options]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["route"] == "linearisation"
+    assert set(document["gains"]) == {"alpha", "beta", "K_c", "R_c"}
+    variables = {}
+    exec(law.read_text(encoding="utf-8"), variables)
+    assert isinstance(variables["law"], DynamicExtension)
+    assert picture.stat().st_size > 10_000
+    assert execute(["tune", "rlc", "-o", str(law)]) == 1
+
+
+@pytest.mark.slow
+def test_coupling_device_by_linearisation_settles_within_1_3_seconds():
+    tuning = tune(load("coupling_device"), Wish(routes=("linearisation",), settling=1.3, effort=400))
+    assert pipeline.check(tuning.design).emittable
+    assert settling(tuning.design, 5) <= 1.3
+    assert settling(load("coupling_device"), 20) == pytest.approx(10.8, abs=0.1)
+
+
+@pytest.mark.slow
+def test_coupling_device_by_lyapunov_is_limited_by_its_natural_damping():
+    tuning = tune(load("coupling_device"), Wish(routes=("lyapunov",), effort=200))
+    assert {"theta", "assumption-3", "kc-bound", "sampled-stable"} <= proved(tuning.design)
+    assert -0.0230 < tuning.chosen.floor < -0.0200
+    assert any("no lower than -0.022" in note for note in tuning.chosen.notes)
+
+
+@pytest.mark.slow
+def test_the_arm_without_friction_gets_gains_for_1_khz(tmp_path):
+    from tests.control.test_sampled import frictionless_arm
+
+    design = frictionless_arm(tmp_path)
+    tuning = tune(design, Wish(routes=("linearisation",), effort=100))
+    assert "sampled-stable" in proved(tuning.design)
+    assert "sampled-stable" not in proved(design)
