@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pbcgen.errors import EmitError, ModelError, NotProved, PbcgenError, ToolchainError, UnsupportedOperation
 
 if TYPE_CHECKING:
+    from pbcgen.control.tune import Wish, tune
     from pbcgen.models.affine import AffineSystem
     from pbcgen.models.circuit import Circuit
     from pbcgen.models.design import Design
@@ -40,11 +41,13 @@ __all__ = [
     "PotentialCompensation",
     "ToolchainError",
     "UnsupportedOperation",
+    "Wish",
     "__version__",
     "check",
     "generate",
     "load",
     "simulate",
+    "tune",
     "validate",
 ]
 
@@ -61,6 +64,8 @@ _HOMES = {
     "Parameters": "pbcgen.models.parameters",
     "PassiveOutput": "pbcgen.models.laws",
     "PotentialCompensation": "pbcgen.models.laws",
+    "Wish": "pbcgen.control.tune",
+    "tune": "pbcgen.control.tune",
     "check": "pbcgen.pipeline",
     "generate": "pbcgen.pipeline",
     "load": "pbcgen.models.loader",

@@ -22,12 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbcgen.control.amplitudes import Room, blocking, largest_amplitudes, rooms
+from pbcgen.control.attraction import region_of_attraction
 from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.family import LoopFamily
 from pbcgen.control.region import Region, certified_region
 from pbcgen.control.sampled import LyapunovPeriods, Sampling, lyapunov_periods, transition_matrix
 from pbcgen.control.saturation import offsets
 from pbcgen.control.scan import Spectrum
+from pbcgen.control.stability import LYAPUNOV
 from pbcgen.control.trial import Response, Trial, entries, response
 from pbcgen.errors import ModelError, NotProved
 from pbcgen.models.design import Design
@@ -58,6 +60,9 @@ _USUAL_DECADES = 4.0
 _CLEARANCE = Fraction(21, 20)
 
 _DIGITS = 3
+
+#: Time for the search of a level set that is attracted to the target, seconds.
+_REGION_SECONDS = 5.0
 
 #: Weight of a slow tail against the settling time: a mode ten times slower costs as much as settling 1.4 times later.
 _TAIL = 0.15
@@ -108,7 +113,7 @@ class Attempt:
         active: the constraints that stop the gains from going further.
         notes: what the route can say about its limits.
         claims: of the derivation with these gains.
-        region: for the linearisation route, a certified region of attraction of the continuous loop, or None.
+        region: a certified ellipsoid of attraction where no level set of the storage was found, or None.
     """
 
     route: Route
@@ -637,17 +642,17 @@ def _failed(problem: _Problem, route: Route, derived: Derivation) -> str | None:
 def _described(problem: _Problem, route: Route, law: Law, derived: Derivation, floor: float | None) -> Attempt:
     resolved = derived.law or law
     figures = problem.spectrum.figures(problem.family.loop(resolved), problem.h, Fraction(1))
-    active, notes = _active(problem, route, resolved), []
+    active: list[str] = _active(problem, route, resolved)
+    notes: list[str] = []
     if route == "lyapunov" and floor is not None:
-        binding = next((a for a in active if a.startswith("theta")), "")
-        reason = "; with Theta met x_l adds little, so the natural damping sets this limit" if binding else ""
-        notes.append(f"the search moved the spectral abscissa no lower than {floor:.4g} 1/s on this route{reason}")
-    region = None
-    if route == "linearisation":
-        region = (
-            certified_region(derived.plant, derived.point, derived.graph) if derived.point and derived.graph else None
-        )
-        notes.append(region.sentence if region is not None else "no region of attraction could be certified")
+        notes.append(f"the search moved the spectral abscissa no lower than {floor:.4g} 1/s on this route")
+        if isinstance(_base(resolved), NaturalDamping):
+            notes[-1] += (
+                "; Theta makes K_l R_l so large that x_l adds little (u_l is about -eta'/(K_l R_l)): the natural"
+                " damping sets this limit"
+            )
+    region, sentence = _region(derived, route)
+    notes.append(sentence)
     periods = problem.lyapunov_periods(resolved)
     if periods.largest is not None:
         notes.append(f"the storage argument covers sample periods below {float(periods.largest):.4g} s")
@@ -663,6 +668,22 @@ def _described(problem: _Problem, route: Route, law: Law, derived: Derivation, f
         derived.claims,
         region,
     )
+
+
+def _region(derived: Derivation, route: Route) -> tuple[Region | None, str]:
+    """The largest region that is certified: a level set of the storage, else an ellipsoid of the linearisation."""
+    claims = {c.claim: c for c in derived.claims}
+    if derived.situation is not None:
+        everywhere = claims["globally-asymptotically-stable"].status is Status.PROVED
+        by_storage = claims["stable"].method == LYAPUNOV
+        found = region_of_attraction(derived.situation, by_storage, everywhere, _REGION_SECONDS)
+        if found.status is Status.PROVED:
+            return None, f"region of attraction: {found.evidence}"
+    if route == "linearisation" and derived.point is not None and derived.graph is not None:
+        ellipsoid = certified_region(derived.plant, derived.point, derived.graph)
+        if ellipsoid is not None:
+            return ellipsoid, ellipsoid.sentence
+    return None, "no region of attraction could be certified"
 
 
 def _active(problem: _Problem, route: Route, law: Law) -> list[str]:
