@@ -129,8 +129,8 @@ class Situation:
                     return None
                 equations.append(expression - value)
         try:
-            values = ca.SX(ca.DM([v for v in fixed if v is not None]))
-            return invariant_set(start, values, ca.vertcat(*equations))
+            at_rest = ca.SX(ca.DM([v for v in fixed if v is not None]))
+            return invariant_set(start, at_rest, ca.vertcat(*equations))
         except (UnsupportedOperation, ZeroDivisionError, Inconsistent):
             return None
 

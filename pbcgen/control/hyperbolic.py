@@ -1,15 +1,15 @@
 """tanh and cosh as the generated code computes them: with the math library, or with a few multiplications.
 
-**tanh.** The rational function is ``x P(x^2) / Q(x^2)`` with P and Q of degree 4 (float) or 9 (double), positive coefficients and
-P(0) = Q(0) = 1, and its magnitude is cut at 1. Three properties follow from the form, for any rounding: it is odd, its
+**tanh.** The rational function is ``x P(x^2) / Q(x^2)`` with P and Q of degree 4 (float) or 9 (double), positive
+coefficients and P(0) = Q(0) = 1, and its magnitude is cut at 1. Three properties follow from the form, for any rounding: it is odd, its
 magnitude is at most 1, and a tiny x is returned unchanged. Beyond the interval of the fit the quotient grows, so that
 the cut alone makes it 1 there; where x^2 or P overflow the quotient is NaN, which the cut turns into 1 as well. P and Q
 are sums of positive terms, so that nothing cancels.
 
 The result is not monotone: between neighbouring floats it drops by at most 4.8e-7.
 
-**cosh**, in float only. ``v = cosh(x / 64) - 1`` is a polynomial, and ``v <- 2 v (v + 2)`` doubles the argument, six times.
-Nothing cancels. The relative error is at most ``(4 + 2|x|) 2^-23``: like any error of x, it grows with |x|.
+**cosh**, in float only. ``v = cosh(x / 64) - 1`` is a polynomial, and ``v <- 2 v (v + 2)`` doubles the argument, six
+times. Nothing cancels. The relative error is at most ``(4 + 2|x|) 2^-23``: like any error of x, it grows with |x|.
 
 ``benchmarks/hyperbolic_fit.py`` computes the coefficients, ``benchmarks/hyperbolic_bound.c`` tries all floats.
 """
