@@ -43,7 +43,7 @@ design = Design(
     # the limit of 3.1 V by 0.02 mV.
     target={"x3": "3.0515"},
     # The source saturates at 3.003 V and at 3.1 V, its limit. The sampled loop with beta = 1 is stable up to
-    # h = 0.38 ms; beta = 10 and 100 need 36 us and 3.9 us.
+    # h = 0.38 ms; beta = 10 and 100 need 35 us and 3.7 us.
     law=DynamicExtension(alpha="0.0485", beta=1, K_c=10, R_c=10),
     limits=Limits({"u": (0, "3.1")}),
     sample_period="1e-4",

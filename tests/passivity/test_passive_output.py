@@ -1,17 +1,21 @@
 """gamma with gamma' = y: found, proved through Z(x) >= 0, or not claimed."""
 
-import casadi as ca
+from fractions import Fraction
 
-from pbcgen import AffineSystem
+import casadi as ca
+import pytest
+
+from pbcgen import AffineSystem, Mechanical
 from pbcgen.passivity import passive_output
 from pbcgen.passivity.passive_output import PassiveOutput
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.storage import assumption_1
 from pbcgen.proof.claim import Status
+from pbcgen.symbolic.real import fraction
 
 
-def _find(system):
-    plant = Plant(system)
+def _find(system, plant=None):
+    plant = plant or Plant(system)
     storage = assumption_1(plant)
     return passive_output.find(plant, storage.structure, storage.proved, storage.by_structure)
 
@@ -26,3 +30,86 @@ def test_an_output_is_not_passive_because_the_storage_happens_to_decrease():
     a, b = ca.exp(x), ca.exp(y)
     found = _find(AffineSystem([x, y], [u], [-a - 2 * b, -2 * a - b], [3, 3], a + b))
     assert _status(found) is not Status.PROVED
+
+
+def _gamma_is(system, expected):
+    plant = Plant(system)
+    found = _find(system, plant)
+    assert isinstance(found, PassiveOutput)
+    assert found.claim.status is Status.PROVED
+    field, (difference,) = plant.exact(ca.jacobian(found.gamma - ca.vertcat(*expected), system.x))
+    return all(entry.is_zero() for row in difference.dense(field.const(0)) for entry in row)
+
+
+def _oscillator(**keywords):
+    x, y, u = (ca.SX.sym(name) for name in ("x", "y", "u"))
+    return AffineSystem([x, y], [u], [y, -x - y], [0, 1], x**2 / 2 + y**2 / 2, **keywords)
+
+
+def test_the_natural_output_of_an_oscillator_is_found():
+    system = _oscillator()
+    assert _gamma_is(system, [system.x[0]])
+
+
+@pytest.mark.parametrize("factor", [-1, 2, 0.999999, 1.000001, 0])
+def test_a_given_gamma_with_a_wrong_factor_is_not_proved(factor):
+    system = _oscillator()
+    wrong = AffineSystem(system.x, system.u, system.f, system.g, system.S, gamma=[factor * system.x[0]])
+    assert _status(_find(wrong)) is not Status.PROVED
+
+
+def test_a_given_gamma_may_have_a_constant():
+    system = _oscillator()
+    shifted = AffineSystem(system.x, system.u, system.f, system.g, system.S, gamma=[system.x[0] + 7])
+    assert _status(_find(shifted)) is Status.PROVED
+
+
+def test_a_tiny_admixture_of_the_velocity_is_not_proved():
+    system = _oscillator()
+    mixed = AffineSystem(system.x, system.u, system.f, system.g, system.S, gamma=[system.x[0] + 1e-9 * system.x[1]])
+    assert _status(_find(mixed)) is not Status.PROVED
+
+
+def test_an_input_on_a_damped_state_needs_a_feedthrough():
+    """f = [[-1, 1], [-1, -2]] grad S, g = e1: gamma = -(F^-1 g)^T x = (2 x - y)/3, and w^T w = 2/3."""
+    x, y, u = (ca.SX.sym(name) for name in ("x", "y", "u"))
+    system = AffineSystem([x, y], [u], [y - x, -x - 2 * y], [1, 0], x**2 / 2 + y**2 / 2)
+    plant = Plant(system)
+    found = _find(system, plant)
+    assert found.claim.status is Status.PROVED
+    field, (slope,) = plant.exact(ca.mtimes(ca.jacobian(found.gamma, system.x), system.g))
+    assert fraction(slope.scalar(field.const(0)).constant()) == Fraction(2, 3)
+
+
+def test_a_state_dependent_actuator_gives_a_nonlinear_gamma():
+    q, p = [ca.SX.sym("q1"), ca.SX.sym("q2")], [ca.SX.sym("p1"), ca.SX.sym("p2")]
+    arm = Mechanical(q, p, M=[1, 1], V=q[0] ** 2, D=[1, 1], G=[[q[1]], [q[0]]]).lower()
+    assert _gamma_is(arm, [arm.x[0] * arm.x[1]])
+
+
+def test_an_output_that_is_no_gradient_is_not_integrated():
+    """G = (1, q1): the output q1' + q1 q2' is not the rate of any function of q."""
+    q, p = [ca.SX.sym("q1"), ca.SX.sym("q2")], [ca.SX.sym("p1"), ca.SX.sym("p2")]
+    arm = Mechanical(q, p, M=[1, 1], V=q[0] ** 2, D=[1, 1], G=[[1], [q[0]]]).lower()
+    assert _status(_find(arm)) is not Status.PROVED
+
+
+def test_the_storage_is_part_of_the_claim():
+    x, y, u = (ca.SX.sym(name) for name in ("x", "y", "u"))
+    active = AffineSystem([x, y], [u], [y, -x + y], [0, 1], x**2 / 2 + y**2 / 2, gamma=[x])
+    assert _status(_find(active)) is not Status.PROVED
+
+
+def test_levels_of_two_tanks_give_a_passive_output_although_no_structure_is_constant():
+    """S' <= y u with gamma = h1 + h2 leaves 3/4 (sqrt h1 - sqrt h2)^2."""
+    h1, h2, u = (ca.SX.sym(name) for name in ("h1", "h2", "u"))
+    domain = {"h1": ("0.01", None), "h2": ("0.01", None)}
+    a, b = ca.sqrt(h1), ca.sqrt(h2)
+    tanks = AffineSystem([h1, h2], [u], [-a, a - b], [1, 0], (h1 * a + h2 * b) / 1.5, domain=domain)
+    found = _find(tanks)
+    if _status(found) is Status.PROVED:
+        gamma_rate = ca.Function("y", [tanks.x, tanks.u], [ca.mtimes(ca.jacobian(found.gamma, tanks.x), tanks.xdot)])
+        power = ca.Function("p", [tanks.x, tanks.u], [ca.mtimes(ca.gradient(tanks.S, tanks.x).T, tanks.xdot)])
+        for levels in ([0.5, 2], [1, 1], [3, 0.1]):
+            for flow in (-2.0, 0.0, 0.3, 5.0):
+                assert float(power(levels, flow)) <= float(gamma_rate(levels, flow)) * flow + 1e-12
