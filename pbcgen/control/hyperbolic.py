@@ -1,8 +1,8 @@
 """tanh and cosh as the generated code computes them: with the math library, or with a few multiplications.
 
 **tanh.** The rational function is ``x P(x^2) / Q(x^2)`` with P and Q of degree 4 (float) or 9 (double), positive
-coefficients and P(0) = Q(0) = 1, and its magnitude is cut at 1. Three properties follow from the form, for any rounding: it is odd, its
-magnitude is at most 1, and a tiny x is returned unchanged. Beyond the interval of the fit the quotient grows, so that
+coefficients and P(0) = Q(0) = 1, and its magnitude is cut at 1. Three properties follow from the form, for any
+rounding: it is odd, its magnitude is at most 1, and a tiny x is returned unchanged. Beyond the interval of the fit the quotient grows, so that
 the cut alone makes it 1 there; where x^2 or P overflow the quotient is NaN, which the cut turns into 1 as well. P and Q
 are sums of positive terms, so that nothing cancels.
 
