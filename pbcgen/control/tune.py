@@ -307,17 +307,21 @@ class _Space:
 
     @property
     def shares(self) -> list[str]:
-        names = [name for name in entries(self.problem.law) if _is_amplitude(name)]
+        names = [name for name in entries(self.problem.law) if _is_amplitude(name) and name != "alpha_psi"]
         return names[:-1]
 
     @property
     def logs(self) -> list[str]:
-        """K_l stays: with K_l x_l as the state only the product K_l R_l matters. A leak of zero stays zero."""
+        """The gains that are sought.
+
+        K_l stays: with K_l x_l as the state only the product K_l R_l matters. So does the filter psi: what it is for,
+        constant disturbances, does not occur in the trial runs.
+        """
         found = entries(self.problem.law)
         return [
             name
             for name, values in found.items()
-            if not _is_amplitude(name) and name != "K_l" and all(v > 0 for v in values)
+            if not _is_amplitude(name) and name != "K_l" and not name.endswith("_psi") and all(v > 0 for v in values)
         ]
 
     @property
@@ -345,7 +349,7 @@ class _Space:
         """A point of the common space in the space with one number for each channel."""
         return np.repeat(x, self.problem.design.system.m)
 
-    def law(self, x: Sequence[float], digits: int | None = None) -> Law:
+    def law(self, x: Sequence[float] | NDArray[np.float64], digits: int | None = None) -> Law:
         """The law at a point; with ``digits`` rounded, amplitudes so that the limits still hold."""
         m = self.problem.design.system.m
         width = 1 if self.common else m
@@ -353,6 +357,10 @@ class _Space:
         found = entries(self.problem.law)
         chosen: dict[str, tuple[Fraction, ...]] = dict(found)
         left = list(self.problem.amplitudes)
+        if "alpha_psi" in found:
+            own = [a * b / c for a, b, c in zip(left, found["alpha_psi"], _totals(self.problem.law), strict=True)]
+            chosen["alpha_psi"] = tuple(_round(v, digits) for v in own)
+            left = [a - b for a, b in zip(left, chosen["alpha_psi"], strict=True)]
         for name in self.shares:
             shares = next(values)
             own = [
@@ -360,7 +368,7 @@ class _Space:
             ]
             chosen[name] = tuple(_round(v, digits) for v in own)
             left = [a - b for a, b in zip(left, chosen[name], strict=True)]
-        last = [name for name in found if _is_amplitude(name)][-1]
+        last = [name for name in found if _is_amplitude(name) and name != "alpha_psi"][-1]
         chosen[last] = tuple(left)
         for name in self.logs:
             factors = next(values)
@@ -651,6 +659,10 @@ def _described(problem: _Problem, route: Route, law: Law, derived: Derivation, f
                 "; Theta makes K_l R_l so large that x_l adds little (u_l is about -eta'/(K_l R_l)): the natural"
                 " damping sets this limit"
             )
+    if isinstance(resolved, Integral):
+        notes.append(
+            "beta_psi and R_psi are kept: the trial runs hold no disturbance that could tell what they should be"
+        )
     region, sentence = _region(derived, route)
     notes.append(sentence)
     periods = problem.lyapunov_periods(resolved)
@@ -679,8 +691,8 @@ def _region(derived: Derivation, route: Route) -> tuple[Region | None, str]:
         found = region_of_attraction(derived.situation, by_storage, everywhere, _REGION_SECONDS)
         if found.status is Status.PROVED:
             return None, f"region of attraction: {found.evidence}"
-    if route == "linearisation" and derived.point is not None and derived.graph is not None:
-        ellipsoid = certified_region(derived.plant, derived.point, derived.graph)
+    if route == "linearisation":
+        ellipsoid = certified_region(derived)
         if ellipsoid is not None:
             return ellipsoid, ellipsoid.sentence
     return None, "no region of attraction could be certified"
