@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from flint import ctx, fmpq
@@ -13,8 +14,8 @@ from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, is_def
 from pbcgen.symbolic.plain.values import INCREASING, NONNEGATIVE, Grow, NotCheckable, apply, plain, sign, variables
 from pbcgen.verify.system import Fails, System, require
 
-#: Bits of the balls.
-BITS = 333
+#: Bits of the balls, and more for each state: the characteristic polynomial of a large matrix loses many.
+BITS, BITS_PER_STATE = 333, 48
 
 _AMPLITUDES = ("alpha", "alpha_c", "alpha_l", "alpha_psi", "k_p")
 #: Claims with verdicts that are recorded, and that nothing here re-checks.
@@ -34,12 +35,13 @@ class Finding:
 
 def examine(document: Mapping[str, Any]) -> list[Finding]:
     """Check every claim of a certificate."""
-    bits, ctx.prec = ctx.prec, BITS
+    bits = ctx.prec
     settings: tuple[Any, ...] = (16,)
     try:
         for _ in range(100):
             try:
                 claims = Claims(document, *settings)
+                ctx.prec = BITS + BITS_PER_STATE * claims.n
                 return [claims.find(entry["claim"], entry["status"]) for entry in document["claims"]]
             except Grow as larger:
                 settings = larger.args
@@ -258,7 +260,7 @@ class Claims(System):
 
     def proved_stable(self) -> None:
         """By the Lyapunov function of Prop. pro1, pro2 or pro4, or by linearisation."""
-        if "integral" in self.law or stable(self.continuous, False):
+        if "integral" in self.law or self.is_hurwitz:
             return self.proved_asymptotically_stable()
         for check in (self.proved_assumption_1, self.proved_passive_output, self.proved_gradient_condition):
             check()
@@ -268,13 +270,18 @@ class Claims(System):
             self.proved_kc_bound()
         return self.proved_theta() if "natural-damping" in self.law else None
 
+    @cached_property
+    def is_hurwitz(self) -> bool | None:
+        """Whether the linearised closed loop is Hurwitz; None if that is not certain."""
+        return stable(self.continuous, False)
+
     def proved_asymptotically_stable(self) -> None:
         """The linearisation is Hurwitz."""
-        require(stable(self.continuous, False), "the linearisation is not certainly Hurwitz")
+        require(self.is_hurwitz, "the linearisation is not certainly Hurwitz")
 
     def refuted_asymptotically_stable(self) -> None:
         """The linearisation has an eigenvalue with a positive real part."""
-        require(stable(self.continuous, False) is False, "no eigenvalue certainly has a positive real part")
+        require(self.is_hurwitz is False, "no eigenvalue certainly has a positive real part")
 
     refuted_stable = refuted_asymptotically_stable
 

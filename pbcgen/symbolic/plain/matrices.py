@@ -102,7 +102,8 @@ def zero_order_hold(A: Matrix, B: Matrix, h: fmpq) -> tuple[Matrix, Matrix]:
 def stable(a: Matrix, discrete: bool) -> bool | None:
     """Whether all eigenvalues lie in the open left half-plane (unit disc); False when one is certainly beyond."""
     matrix, size = arb_mat(a), len(a)
-    coefficients = [matrix.charpoly()[k] for k in range(size + 1)]
+    polynomial = matrix.charpoly()
+    coefficients = [polynomial[k] for k in range(size + 1)]
     if discrete:
         coefficients = product([coefficients], [_moebius(power, size) for power in range(size + 1)])[0]
     signs = _routh(coefficients[::-1])
