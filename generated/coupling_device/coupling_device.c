@@ -41,7 +41,7 @@ static coupling_device_status_t coupling_device_examine(coupling_device_state_t 
 
 static float coupling_device_clamp(float x, float low, float high)
 {
-    return (x >= low) ? ((x <= high) ? x : high) : low; /* NaN gives low */
+    return ((x != x) || (x < low)) ? low : ((x > high) ? high : x); /* NaN gives low */
 }
 
 /* The outputs of a step that cannot be computed: the equilibrium input. */
@@ -66,7 +66,7 @@ static float coupling_device_tanh_of_magnitude(float r)
 
 /*
  * tanh(s) of the solution of s + mu tanh(s) = c for mu = 0.0011212624, at most 2.9e-07 off for every c (in exact
- * arithmetic): a polynomial start, one tanh, and a Taylor step of order 2 in the error of the start.
+ * arithmetic): a polynomial start, one tanh, and a Taylor step of order 1 in the error of the start.
  */
 static float coupling_device_solve_0(float c)
 {
@@ -75,13 +75,11 @@ static float coupling_device_solve_0(float c)
     const float s = r * 0.99887997f;
     float t;
     float d;
-    float w;
     float q;
 
     t = coupling_device_tanh_of_magnitude(s);
     d = 1.0f - t * t;
-    w = 1.0f / (1.0f + mu * d);
-    q = ((s - r) + mu * t) * w;
+    q = (s - r) + mu * t;
     t -= d * q;
     return (c < 0.0f) ? -t : t;
 }

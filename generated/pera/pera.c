@@ -45,23 +45,23 @@ static pera_status_t pera_examine(pera_state_t *state, const pera_input_t *input
 
 static float pera_clamp(float x, float low, float high)
 {
-    return (x >= low) ? ((x <= high) ? x : high) : low; /* NaN gives low */
+    return ((x != x) || (x < low)) ? low : ((x > high) ? high : x); /* NaN gives low */
 }
 
 /* The outputs of a step that cannot be computed: the last valid outputs. */
 static void pera_fall_back(pera_state_t *state, pera_output_t *output)
 {
-    if (!((state->last_u1 >= -17.0f) && (state->last_u1 <= 17.0f)))
+    if ((state->last_u1 != state->last_u1) || (state->last_u1 < -17.0f) || (state->last_u1 > 17.0f))
     {
         state->last_u1 = 0.0f; /* it was corrupted */
     }
     output->u1 = state->last_u1;
-    if (!((state->last_u2 >= -4.5695996f) && (state->last_u2 <= 4.5695996f)))
+    if ((state->last_u2 != state->last_u2) || (state->last_u2 < -4.5695996f) || (state->last_u2 > 4.5695996f))
     {
         state->last_u2 = 1.5696f; /* it was corrupted */
     }
     output->u2 = state->last_u2;
-    if (!((state->last_u3 >= -3.3f) && (state->last_u3 <= 3.3f)))
+    if ((state->last_u3 != state->last_u3) || (state->last_u3 < -3.3f) || (state->last_u3 > 3.3f))
     {
         state->last_u3 = 0.0f; /* it was corrupted */
     }
@@ -117,7 +117,7 @@ static float pera_solve_0(float c)
 
 /*
  * tanh(s) of the solution of s + mu tanh(s) = c for mu = 0.0014999924, at most 3e-07 off for every c (in exact
- * arithmetic): a polynomial start, one tanh, and a Taylor step of order 2 in the error of the start.
+ * arithmetic): a polynomial start, one tanh, and a Taylor step of order 1 in the error of the start.
  */
 static float pera_solve_1(float c)
 {
@@ -126,13 +126,11 @@ static float pera_solve_1(float c)
     const float s = r * 0.99850225f;
     float t;
     float d;
-    float w;
     float q;
 
     t = pera_tanh_of_magnitude(s);
     d = 1.0f - t * t;
-    w = 1.0f / (1.0f + mu * d);
-    q = ((s - r) + mu * t) * w;
+    q = (s - r) + mu * t;
     t -= d * q;
     return (c < 0.0f) ? -t : t;
 }

@@ -40,7 +40,7 @@ static rlc_status_t rlc_examine(rlc_state_t *state, const rlc_input_t *input)
 
 static float rlc_clamp(float x, float low, float high)
 {
-    return (x >= low) ? ((x <= high) ? x : high) : low; /* NaN gives low */
+    return ((x != x) || (x < low)) ? low : ((x > high) ? high : x); /* NaN gives low */
 }
 
 /* The outputs of a step that cannot be computed: the equilibrium input. */
@@ -65,7 +65,7 @@ static float rlc_tanh_of_magnitude(float r)
 
 /*
  * tanh(s) of the solution of s + mu tanh(s) = c for mu = 4.8019803e-05, at most 2.9e-07 off for every c (in exact
- * arithmetic): a polynomial start, one tanh, and a Taylor step of order 2 in the error of the start.
+ * arithmetic): a polynomial start, one tanh, and a Taylor step of order 1 in the error of the start.
  */
 static float rlc_solve_0(float c)
 {
@@ -74,13 +74,11 @@ static float rlc_solve_0(float c)
     const float s = r * 0.99995196f;
     float t;
     float d;
-    float w;
     float q;
 
     t = rlc_tanh_of_magnitude(s);
     d = 1.0f - t * t;
-    w = 1.0f / (1.0f + mu * d);
-    q = ((s - r) + mu * t) * w;
+    q = (s - r) + mu * t;
     t -= d * q;
     return (c < 0.0f) ? -t : t;
 }

@@ -4,11 +4,13 @@ For a fixed mu a start s_0(r) that is off by e is turned into the result t = tan
 function. With ``t_0 = tanh(s_0)``, ``d = 1 - t_0^2``, the residual ``F = (s_0 - r) + mu t_0``, ``w = 1 / (1 + mu d)``
 and ``q = F w``, the Newton step,
 
+    order 1:  t = t_0 - d F
     order 2:  t = t_0 - d q
     order 3:  t = t_0 - d q (1 + w q t_0)
     order 4:  t = t_0 - d q (1 + w q (t_0 - q (1/3 + t_0^2 (1 - 2 w))))
 
 is off by a multiple of e^order that is small when mu is large: w is then small, and an error of s hardly moves t.
+(Order 1 takes w for 1, which is good for a small mu.)
 
 The start is a piecewise polynomial. Near zero it is odd, so that small r are solved with a small relative error; in
 the end it is the asymptote r - mu. :func:`taylor_solve` tries the forms below, the cheapest first, and takes the first
@@ -46,6 +48,7 @@ TOLERANCE: Final = 3e-7
 
 #: (odd coefficients, degree of the middle piece or None, whether the asymptote is a piece, order), cheapest first.
 _FORMS: Final = (
+    (1, None, False, 1),
     (1, None, False, 2),
     (1, None, False, 3),
     (1, None, True, 2),
@@ -232,7 +235,7 @@ def taylor_step(t: Array, s: Array, r: Array, mu: Array | np.floating[Any], orde
     one = t.dtype.type(1)
     square = t * t
     d = one - square
-    w = one / (one + mu * d)
+    w = one / (one + mu * d) if order > 1 else one
     q = ((s - r) + mu * t) * w
     factor: Any = one
     if order == 3:
@@ -320,7 +323,7 @@ def _error(mu: arb, root: arb, piece: Callable[[arb_series], arb_series], order:
     at = piece(r)
     t = _tanh(at)
     d = 1 - t * t
-    w = 1 / (1 + mu * d)
+    w = 1 / (1 + mu * d) if order > 1 else arb_series([1])
     q = ((at - r) + mu * t) * w
     factor = arb_series([1])
     if order == 3:

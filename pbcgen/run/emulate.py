@@ -2,7 +2,8 @@
 
 The package is compiled with ``zig cc`` and run in unicorn; both come from PyPI (the extras ``zig`` and ``emulate``). A
 GNU compiler for the target can take the place of zig.
-Every executed instruction counts one, the call's own return included, the call itself added.
+Every executed instruction counts one, the call and its return included; a conditional instruction whose condition is
+false does not count.
 """
 
 from __future__ import annotations

