@@ -179,7 +179,9 @@ def run(
     if plot is not None:
         _draw(found, report, plot)
     name = design.name or "controller"
-    return Outcome(lambda console: _show(console, name, found, output, plot), _document(name, found) if json else None)
+    worst = _worst_case(found, design)
+    document = _document(name, found, worst) if json else None
+    return Outcome(lambda console: _show(console, name, found, worst, output, plot), document)
 
 
 @contextlib.contextmanager
@@ -213,9 +215,20 @@ def _draw(found: Robustness, report: Any, path: Path) -> None:
     save(figure, path)
 
 
-def _document(name: str, found: Robustness) -> dict[str, Any]:
-    worst = found.worst
-    case, _ = found.loops.case(worst)
+def _worst_case(found: Robustness, design: Any) -> dict[str, Any]:
+    """What the worst run was given: parameters, and initial state."""
+    case, _ = found.loops.case(found.worst)
+    n, names = found.loops.n, tuple(design.system.parameters)
+    return {
+        "run": found.worst,
+        "final_relative": float(found.relative[found.worst]),
+        "settling": float(found.settling[found.worst]),
+        "parameters": dict(zip(names, case[n : n + len(names)].tolist(), strict=True)),
+        "initial": dict(zip(design.system.state_names, case[:n].tolist(), strict=True)),
+    }
+
+
+def _document(name: str, found: Robustness, worst: dict[str, Any]) -> dict[str, Any]:
     return {
         "design": name,
         "runs": len(found.outcomes),
@@ -229,7 +242,7 @@ def _document(name: str, found: Robustness) -> dict[str, Any]:
             target: {"mean": float(abs(found.final[:, k]).mean()), "worst": float(abs(found.final[:, k]).max())}
             for k, target in enumerate(found.target_names)
         },
-        "worst": {"run": worst, "final_relative": float(found.relative[worst]), "case": case.tolist()},
+        "worst": worst,
     }
 
 
@@ -239,15 +252,21 @@ def _median(values: Any) -> float:
     return float(np.median(values))
 
 
-def _show(console: Console, name: str, found: Robustness, output: Path | None, plot: Path | None) -> None:
-    worst = found.worst
+def _show(
+    console: Console, name: str, found: Robustness, worst: dict[str, Any], output: Path | None, plot: Path | None
+) -> None:
     console.print(f"{name}: {100 * found.share:.4g} % of {len(found.outcomes)} runs converge", style="bold")
     console.print(f"(within {100 * found.tolerance:g} % of the initial error; seed {found.loops.seed})\n")
     for k, target in enumerate(found.target_names):
         errors = abs(found.final[:, k])
         console.print(f"final error of {target}: mean {errors.mean():.4g}, worst {errors.max():.4g}")
     console.print(f"settling time: median {_median(found.settling):.4g} s, worst {found.settling.max():.4g} s")
-    console.print(f"worst run: number {worst}, ends at {100 * found.relative[worst]:.4g} % of the initial error")
+    console.print(
+        f"worst run: number {worst['run']}, ends at {100 * worst['final_relative']:.4g} % of the initial error"
+    )
+    if worst["parameters"]:
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in worst["parameters"].items())
+        console.print(f"  with {values}")
     for path, what in ((output, "Results"), (plot, "Picture")):
         if path is not None:
             console.print(f"{what}: {path}", soft_wrap=True)
