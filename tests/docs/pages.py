@@ -3,7 +3,8 @@
     ```python title="name.py"     written to that file
     ```python                     executed; the blocks of one page share their names
     ```c title="name.c"           written to that file
-    ```console                    `$ command` lines, each with what it prints on 80 columns; a line `...` stands for any
+    ```console                    `$ command` lines, each with what it prints on 80 columns; a line `...` is any lines,
+                                  `...` at the end of a line for the rest of it
 
 ``python tests/docs/pages.py`` writes the outputs of all commands into the pages again, except where a `...` stands.
 """
@@ -27,6 +28,7 @@ PAGES = sorted(path.name for path in DOCS.glob("*.md"))
 
 _FENCE = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 _ELLIPSIS = re.compile(r"^ *\.\.\.\n", re.MULTILINE)
+_TAIL = re.escape("...\n")
 
 
 @dataclass
@@ -40,7 +42,8 @@ class Command:
     @property
     def as_documented(self) -> bool:
         pieces = _ELLIPSIS.split(self.expected.rstrip() + "\n")
-        return re.fullmatch("(?:.*\n)*?".join(map(re.escape, pieces)), self.printed.rstrip() + "\n") is not None
+        exact = [re.escape(piece).replace(_TAIL, ".*\n") for piece in pieces]
+        return re.fullmatch("(?:.*\n)*?".join(exact), self.printed.rstrip() + "\n") is not None
 
     def as_text(self, refreshed: bool) -> str:
         keep = not refreshed or _ELLIPSIS.search(self.expected)
