@@ -46,6 +46,15 @@ _STATUS_MEANINGS: Final[dict[StepStatus, str]] = {
     StepStatus.INVALID_ARGUMENT: "a pointer is null; nothing was read, the outputs are {equilibrium}",
 }
 
+#: Rules of MISRA C:2012 that the code does not follow, and why.
+DEVIATIONS: Final[dict[str, str]] = {
+    "2.5": "the macros of the header are for the user",
+    "8.7": "the functions of the interface are called from other files",
+    "11.9": "null pointers are compared with 0, so that no further header is needed",
+    "12.1": "products in sums stand without parentheses, as in any formula",
+    "15.5": "a refused step returns at once",
+}
+
 EQUILIBRIUM_TEXT: Final = "the equilibrium input"
 
 
