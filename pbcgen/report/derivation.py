@@ -30,7 +30,7 @@ from pbcgen.report.mathematics import (
     symbols,
 )
 from pbcgen.symbolic.real import BITS, precision, rational
-from pbcgen.symbolic.sympy_form import from_function, latex, name_as_latex
+from pbcgen.symbolic.sympy_form import from_function, from_sx, latex, name_as_latex
 
 
 @dataclass(frozen=True)
@@ -495,10 +495,7 @@ def _lyapunov(d: Derivation) -> Step:
         formulas.append(
             Formula("where", r"\Phi(z) = \sum_i \frac{\alpha_i}{\beta_i} \ln\cosh(\beta_i z_i) \quad \text{(Phi)}")
         )
-    chain = d.derived.get("lasalle")
-    if chain:
-        lines = chain if isinstance(chain, (list, tuple)) else [chain]
-        formulas += [Formula("LaSalle", rf"\text{{{line}}}") for line in lines]
+    formulas += list(_lasalle(d))
     abscissa = d.derived.get("spectral_abscissa")
     if abscissa is not None:
         formulas.append(
@@ -520,6 +517,32 @@ def _lyapunov(d: Derivation) -> Step:
         tuple(formulas),
         ("stable", "asymptotically-stable", "globally-asymptotically-stable"),
     )
+
+
+def _lasalle(d: Derivation) -> Iterator[Formula]:
+    """What elimination leaves of the set where the rate vanishes for all times, as a chain of implications."""
+    situation = d.situation
+    found = situation.invariant if situation is not None else None
+    if situation is None or found is None or situation.flow is None:
+        return
+    system = d.plant.system
+    symbols_of_set = [system.x, situation.flow.constant, ca.SX(system.parameters.symbols)]
+
+    def shown(expression: ca.SX) -> str:
+        return latex(from_sx(ca.SX(expression), symbols_of_set)[0][0])
+
+    chain = [f"{name_as_latex(system.state_names[k])} = {shown(value)}" for k, value in found.solved.items()]
+    chain += [rf"\bar{{u}}_{{{k + 1}}} = {shown(value)}" for k, value in found.inputs.items()]
+    if not chain:
+        return
+    if found.resting:
+        chain.append(r"\dot x = 0")
+    lines = r" \\ ".join(rf"& \implies {item}" for item in chain)
+    caption = (
+        "LaSalle: on the invariant set where the rate vanishes, y = 0 and u is constant; elimination along the flow "
+        "leaves, at the parameter values,"
+    )
+    yield Formula(caption, rf"\begin{{aligned}}{lines}\end{{aligned}}")
 
 
 def _sampled(d: Derivation) -> Step:
@@ -553,9 +576,11 @@ def _sampled(d: Derivation) -> Step:
 def _sampled_bound(d: Derivation) -> Iterator[Formula]:
     """h <= 2 lambda_min(Lambda_c diag(alpha beta)^-1) where the damping of the output is known (law (uc))."""
     bound = (d.derived.get("sample_periods") or {}).get("lyapunov_stable_to")
-    if bound is not None:
-        yield Formula(
-            "The Lyapunov function does not grow from sample to sample for",
-            rf"h \le 2 \lambda_{{\min}}\left(\Lambda_c\, \text{{diag}}(\alpha\beta)^{{-1}}\right) "
-            rf"= {number(float(bound))}\ \text{{s}}",
-        )
+    if bound is None:
+        return
+    law = d.law.base if isinstance(d.law, Integral) else d.law
+    of_gains = r"2 \lambda_{\min}\left(\Lambda_c\, \text{diag}(\alpha\beta)^{-1}\right) = "
+    yield Formula(
+        "The Lyapunov function does not grow from sample to sample for",
+        rf"h \le {'' if isinstance(law, NaturalDamping) else of_gains}{number(float(bound))}\ \text{{s}}",
+    )

@@ -134,6 +134,8 @@ def name_as_latex(name: str) -> str:
 
 
 def _word(text: str) -> str:
+    if text == "ubar":
+        return r"\bar{u}"
     if text in _GREEK:
         return rf"\{text}"
     if len(text) == 1 or text.isdigit():

@@ -24,7 +24,7 @@ def test_the_code_of_a_page_runs_and_prints_what_it_shows(name, tmp_path):
 def test_links_and_pictures_exist(name):
     text = (DOCS / name).read_text(encoding="utf-8")
     for target in re.findall(r"\]\((?!https?:)([^)#\s]+)", text):
-        if target != "notebook.md":  # made when the site is built
+        if target not in {"notebook.md", "reports/rlc.html"}:  # made when the site is built
             assert (DOCS / target).exists(), target
 
 

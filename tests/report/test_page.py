@@ -11,6 +11,7 @@ from pbcgen import pipeline
 from pbcgen.control.attraction import Region
 from pbcgen.models.loader import load
 from pbcgen.proof.claim import Status
+from pbcgen.report.derivation import steps
 from pbcgen.report.page import page
 
 pytestmark = pytest.mark.slow
@@ -89,6 +90,14 @@ def test_tables_have_headers_and_pictures_have_words():
 def test_the_derivation_names_its_equations():
     for name in ("pascond", "ypas", "hesscond", "dxc", "uc", "dSdc", "kappa"):
         assert name in circuit_page(), name
+
+
+def test_the_chain_of_lasalle_is_written_out():
+    report, _ = circuit()
+    (stability,) = (step for step in steps(report.derivation) if step.key == "stability")
+    (chain,) = (f.latex for f in stability.formulas if f.caption.startswith("LaSalle"))
+    assert r"x_{2} = " in chain
+    assert r"\implies" in chain
 
 
 def test_the_page_stays_small():
