@@ -13,7 +13,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-from flint import fmpq, fmpq_mpoly
+from flint import fmpq, fmpq_mat, fmpq_mpoly
 
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
@@ -75,19 +75,66 @@ def find_factor(
 
     Returns the factor and the coefficients by (i, j, k), or None if there are none.
     """
+    if len(multipliers) == 1:
+        unique = _unique_constant(field, targets, basis, multipliers, remainder_allowed)
+        if unique is not None:
+            return unique
+    size = len(targets)
+    if size * len(basis) * len(multipliers) > _MOST_UNKNOWNS:
+        return None
     equations = _matching_rows(field, targets, basis, multipliers, frozenset(), remainder_allowed)
     if equations is None:
         return None
     rows, remainder = equations
-    size = len(targets)
-    if size * len(basis) * len(multipliers) > _MOST_UNKNOWNS:
-        return None
     try:
         solved = reduce_rows(rows)
         entries = _least_symmetric(field, solved, size, len(basis), len(multipliers))
     except Inconsistent:
         return None
     return _assemble(field, entries, size, len(basis), multipliers, remainder), entries
+
+
+def _unique_constant(
+    field: Field,
+    targets: Sequence[Quotient],
+    basis: Sequence[Quotient],
+    multipliers: Sequence[Quotient],
+    remainder_allowed: bool,
+) -> tuple[Factor, dict[Entry, Quotient]] | None:
+    """The constant factor when the entries of the basis are independent, which leaves one at most: for any size."""
+    coefficients = Coefficients(field, frozenset())
+    columns = [coefficients.split(entry) for entry in basis]
+    wanted = [coefficients.split(entry) for entry in targets]
+    if any(split is None for split in (*columns, *wanted)):
+        return None
+    offered = [split for split in columns if split is not None]
+    reachable = sorted({monomial for split in offered for monomial in split})
+    position = {monomial: r for r, monomial in enumerate(reachable)}
+    width = len(offered)
+    if len(reachable) < width:
+        return None
+    table = fmpq_mat(len(reachable), width + len(targets))
+    remainder = []
+    for j, split in enumerate(offered):
+        for monomial, value in split.items():
+            table[position[monomial], j] = _number(value)
+    for i, found in enumerate(wanted):
+        beyond = {}
+        for monomial, value in (found or {}).items():
+            if monomial in position:
+                table[position[monomial], width + i] = _number(value)
+            else:
+                beyond[monomial] = value
+        if beyond and not remainder_allowed:
+            return None
+        remainder.append(-_recombine(field, beyond))
+    reduced, rank = table.rref()
+    if rank != width or any(reduced[j, j] != 1 for j in range(width)):
+        return None
+    entries = {
+        (i, j, 0): field.const(fraction(reduced[j, width + i])) for i in range(len(targets)) for j in range(width)
+    }
+    return _assemble(field, entries, len(targets), width, multipliers, remainder), entries
 
 
 def refine_symbolically(
@@ -100,14 +147,13 @@ def refine_symbolically(
     remainder_allowed: bool,
 ) -> Factor | None:
     """The factor with symbolic parameters that has the zeros and skew pairs of ``pattern``, or None."""
-    equations = _matching_rows(field, targets, basis, multipliers, parameters, remainder_allowed)
+    nonzero = {entry for entry, value in pattern.items() if not value.is_zero()}
+    equations = _matching_rows(field, targets, basis, multipliers, parameters, remainder_allowed, nonzero)
     if equations is None:
         return None
     rows, remainder = equations
     one = field.const(1)
     size = len(targets)
-    nonzero = {entry for entry, value in pattern.items() if not value.is_zero()}
-    rows = [{key: v for key, v in row.items() if key == CONSTANT or key in nonzero} for row in rows]
     for i, j, k in sorted(nonzero):
         if i < j and (j, i, k) in nonzero and str(pattern[i, j, k].numerator) == str(-pattern[j, i, k].numerator):
             rows.append({(i, j, k): one, (j, i, k): one})
@@ -126,8 +172,12 @@ def _matching_rows(
     multipliers: Sequence[Quotient],
     parameters: frozenset[int],
     remainder_allowed: bool,
+    pattern: set[Entry] | None = None,
 ) -> tuple[list[Row], list[Quotient]] | None:
-    """One equation for each target and monomial, and the parts of the targets that no product can match."""
+    """One equation for each target and monomial, and the parts of the targets that no product can match.
+
+    With a ``pattern`` every other unknown is zero.
+    """
     coefficients = Coefficients(field, parameters)
     products: dict[tuple[int, int], dict[Monomial, Quotient]] = {}
     for j, k in product(range(len(basis)), range(len(multipliers))):
@@ -135,22 +185,28 @@ def _matching_rows(
         if split is None:
             return None
         products[j, k] = split
-    reachable = {monomial for split in products.values() for monomial in split}
+    by_monomial: dict[Monomial, dict[tuple[int, int], Quotient]] = {}
+    for at, terms in products.items():
+        for monomial, value in terms.items():
+            by_monomial.setdefault(monomial, {})[at] = value
     rows: list[Row] = []
     remainder = []
     for i, target in enumerate(targets):
         split = coefficients.split(target)
         if split is None:
             return None
-        beyond = {m: c for m, c in split.items() if m not in reachable}
+        beyond = {m: c for m, c in split.items() if m not in by_monomial}
         if beyond and not remainder_allowed:
             return None
         remainder.append(-_recombine(field, beyond))
-        for monomial in sorted(reachable):
-            row: Row = {(i, j, k): split_jk[monomial] for (j, k), split_jk in products.items() if monomial in split_jk}
+        for monomial, offered in sorted(by_monomial.items()):
+            row: Row = {
+                (i, j, k): value for (j, k), value in offered.items() if pattern is None or (i, j, k) in pattern
+            }
             if monomial in split:
                 row[CONSTANT] = -split[monomial]
-            rows.append(row)
+            if row:
+                rows.append(row)
     return rows, remainder
 
 

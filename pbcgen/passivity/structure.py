@@ -79,8 +79,8 @@ def _search(plant: Plant, drift_first: bool, affine: bool) -> tuple[ca.SX, ca.SX
     if len(sides[-1]) == len(multipliers):
         refined = refine_symbolically(*sides, plant.parameter_positions(), pattern, remainder_allowed=drift_first)
         if refined is not None:
-            return _as_expressions(plant, sides[0], refined)
-    return _as_expressions(plant, field, factor)
+            return _as_expressions(plant, refined)
+    return _as_expressions(plant, factor)
 
 
 def _sides(
@@ -99,12 +99,17 @@ def _sides(
     return field, *((f, e) if drift_first else (e, f)), multipliers
 
 
-def _as_expressions(plant: Plant, field: Field, factor: Factor) -> tuple[ca.SX, ca.SX]:
-    [s for column in plant.symbols for s in ca.vertsplit(column)] if plant.names else []
-    rows = [[plant.expression(entry) for entry in row] for row in factor.matrix]
-    matrix = ca.vertcat(*[ca.horzcat(*row) for row in rows])
-    remainder = ca.vertcat(*[plant.expression(entry) for entry in factor.remainder])
-    return ca.sparsify(matrix), ca.sparsify(remainder)
+def _as_expressions(plant: Plant, factor: Factor) -> tuple[ca.SX, ca.SX]:
+    size = len(factor.matrix)
+    matrix, remainder = ca.SX(size, size), ca.SX(size, 1)
+    for i, row in enumerate(factor.matrix):
+        for j, entry in enumerate(row):
+            if not entry.is_zero():
+                matrix[i, j] = plant.expression(entry)
+    for i, entry in enumerate(factor.remainder):
+        if not entry.is_zero():
+            remainder[i] = plant.expression(entry)
+    return matrix, remainder
 
 
 @dataclass(frozen=True)
@@ -136,11 +141,11 @@ def prove(plant: Plant, structure: PowerStructure, prover: Prover | None = None)
     zero = field.const(0)
     drift, gradient, rho = f.column(zero), e.column(zero), remainder.column(zero)
     left, right = (drift, gradient) if structure.form == "F" else (gradient, drift)
-    rows = matrix.dense(zero)
-    identity = all(
-        (left[i] - dot(rows[i], right, zero) + (rho[i] if structure.form == "F" else zero)).is_zero()
-        for i in range(len(left))
-    )
+    excess = [value + rho[i] if structure.form == "F" else value for i, value in enumerate(left)]
+    for (i, j), entry in matrix.entries.items():
+        if not entry.is_zero():
+            excess[i] = excess[i] - entry * right[j]
+    identity = all(value.is_zero() for value in excess)
     if not identity:
         return StructureProof(False, False, False)
     sign = semidefinite(dissipation.dense(zero), prover=prover)

@@ -6,6 +6,7 @@ An equation is a sparse row ``{unknown: coefficient, CONSTANT: c}`` that stands 
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping
+from heapq import heapify, heappop, heappush
 from typing import Any
 
 from flint import fmpq
@@ -42,16 +43,46 @@ def _cost(value: Any) -> int:
     return int(value.p.height_bits() + value.q.height_bits()) if isinstance(value, fmpq) else 1
 
 
-def _eliminate(row: Row, unknown: Hashable, pivot_row: Row) -> Row:
-    factor = row.pop(unknown)
-    for key, value in pivot_row.items():
-        if key != unknown:
-            row[key] = row[key] - factor * value if key in row else -(factor * value)
-    return _without_zeros(row)
+class _Rows:
+    """Sparse rows by number, with an index from each unknown to the rows that hold it."""
+
+    def __init__(self, rows: Iterable[Mapping[Hashable, Any]]) -> None:
+        self.rows: dict[int, Row] = {}
+        self.holders: dict[Hashable, set[int]] = {}
+        for number, row in enumerate(rows):
+            self.put(number, _without_zeros(row))
+
+    def put(self, number: int, row: Row) -> None:
+        self.rows[number] = row
+        for key in row:
+            self.holders.setdefault(key, set()).add(number)
+
+    def take(self, number: int) -> Row:
+        row = self.rows.pop(number)
+        for key in row:
+            self.holders[key].discard(number)
+        return row
+
+    def eliminate(self, unknown: Hashable, pivot_row: Row) -> list[int]:
+        """Free every row of the unknown; the numbers of the rows that changed."""
+        changed = sorted(self.holders.get(unknown, ()))
+        for number in changed:
+            row = self.take(number)
+            factor = row.pop(unknown)
+            for key, value in pivot_row.items():
+                if key == unknown:
+                    continue
+                entry = row[key] - factor * value if key in row else -(factor * value)
+                if is_zero(entry):
+                    row.pop(key, None)
+                else:
+                    row[key] = entry
+            self.put(number, row)
+        return changed
 
 
 def reduce_rows(rows: Iterable[Mapping[Hashable, Any]]) -> dict[Hashable, Row]:
-    """Reduced row echelon form.
+    """Reduced row echelon form, shortest rows first.
 
     Returns:
         For each pivot unknown its row with pivot coefficient one, free of the other pivots: the unknown equals minus
@@ -60,11 +91,15 @@ def reduce_rows(rows: Iterable[Mapping[Hashable, Any]]) -> dict[Hashable, Row]:
     Raises:
         Inconsistent: when there is no solution.
     """
-    waiting = [_without_zeros(row) for row in rows]
-    solved: dict[Hashable, Row] = {}
-    while waiting:
-        waiting.sort(key=len, reverse=True)
-        row = waiting.pop()
+    waiting, solved = _Rows(rows), _Rows(())
+    pivots: dict[int, Hashable] = {}
+    queue = [(len(row), -number) for number, row in waiting.rows.items()]
+    heapify(queue)
+    while queue:
+        length, minus = heappop(queue)
+        if -minus not in waiting.rows or len(waiting.rows[-minus]) != length:
+            continue
+        row = waiting.take(-minus)
         unknowns = [key for key in row if key != CONSTANT]
         if not unknowns:
             if row:
@@ -73,10 +108,12 @@ def reduce_rows(rows: Iterable[Mapping[Hashable, Any]]) -> dict[Hashable, Row]:
         pivot = min(unknowns, key=lambda key: (_cost(row[key]), str(key)))
         scale = row[pivot]
         pivot_row = {key: value / scale for key, value in row.items()}
-        waiting = [_eliminate(dict(r), pivot, pivot_row) if pivot in r else r for r in waiting]
-        solved = {k: _eliminate(dict(r), pivot, pivot_row) if pivot in r else r for k, r in solved.items()}
-        solved[pivot] = pivot_row
-    return solved
+        for number in waiting.eliminate(pivot, pivot_row):
+            heappush(queue, (len(waiting.rows[number]), -number))
+        solved.eliminate(pivot, pivot_row)
+        solved.put(-minus, pivot_row)
+        pivots[-minus] = pivot
+    return {pivot: solved.rows[number] for number, pivot in pivots.items()}
 
 
 def particular_solution(solved: Mapping[Hashable, Row], zero: Any) -> dict[Hashable, Any]:
