@@ -53,36 +53,43 @@ class Response:
     Attributes:
         settling: time after which every target signal stays within 2 % of its initial error, seconds; infinity if
             that does not happen within the run.
+        rough: the same for twice the band: less abrupt in the gains.
         overshoot: the largest excursion beyond the target, as a share of the initial error.
         final: the largest error at the end, likewise.
         spread: integral of time times the relative error, seconds squared: smooth in the gains.
     """
 
     settling: float
+    rough: float
     overshoot: float
     final: float
     spread: float
 
 
+#: Share of the initial error within which a signal has settled.
 BAND = 0.02
 
 
 def response(run: Run) -> Response:
     """The figures of a run."""
     if not run.finite:
-        return Response(float("inf"), float("inf"), float("inf"), 1e6)
+        return Response(float("inf"), float("inf"), float("inf"), float("inf"), 1e6)
     start = np.abs(run.errors[0])
     scale = np.where(start > 1e-12, start, np.maximum(np.max(np.abs(run.errors), axis=0), 1e-300))
     relative = run.errors / scale
-    outside = np.any(np.abs(relative) > BAND, axis=1)
-    last = int(np.max(np.nonzero(outside)[0], initial=-1))
-    settling = float("inf") if last + 1 >= len(run.times) else float(run.times[last + 1])
+    settling, rough = (_settled(run.times, relative, band) for band in (BAND, 2 * BAND))
     direction = np.where(run.errors[0] >= 0, -1.0, 1.0)
     beyond = np.max(relative * direction, axis=0)
     weight = np.trapezoid(run.times[:, None] * np.abs(relative), run.times, axis=0)
-    return Response(
-        settling, max(0.0, float(np.max(beyond))), float(np.max(np.abs(relative[-1]))), float(np.max(weight))
-    )
+    beyond_target = max(0.0, float(np.max(beyond)))
+    return Response(settling, rough, beyond_target, float(np.max(np.abs(relative[-1]))), float(np.max(weight)))
+
+
+def _settled(times: Array, relative: Array, band: float) -> float:
+    """The time after which all signals stay within the band; infinity if they do not within the run."""
+    outside = np.any(np.abs(relative) > band, axis=1)
+    last = int(np.max(np.nonzero(outside)[0], initial=-1))
+    return float("inf") if last + 1 >= len(times) else float(times[last + 1])
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from pbcgen.control.family import LoopFamily
 from pbcgen.control.region import Region, certified_region
 from pbcgen.control.sampled import LyapunovPeriods, Sampling, lyapunov_periods, transition_matrix
 from pbcgen.control.saturation import offsets
-from pbcgen.control.scan import Spectrum
+from pbcgen.control.scan import Figures, Spectrum
 from pbcgen.control.stability import LYAPUNOV
 from pbcgen.control.trial import Response, Trial, entries, response
 from pbcgen.errors import ModelError, NotProved
@@ -61,11 +61,14 @@ _CLEARANCE = Fraction(21, 20)
 
 _DIGITS = 3
 
+#: Searches with other seeds while the wish is not met.
+_ROUNDS = 3
+
 #: Time for the search of a level set that is attracted to the target, seconds.
 _REGION_SECONDS = 5.0
 
-#: Weight of a slow tail against the settling time: a mode ten times slower costs as much as settling 1.4 times later.
-_TAIL = 0.15
+#: Weight of a slow tail against the settling time: a mode ten times slower costs as much as settling 1.8 times later.
+_TAIL = 0.25
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,8 @@ class Wish:
         overshoot: largest excursion beyond the target, as a share of the initial error.
         damping: least damping ratio of the modes of the sampled loop.
         margin: the loop must be proved stable with ``margin`` times the sample period too.
-        seed: of the search. effort: about how many trial runs for each route.
+        seed: of the search. effort: about how many trial runs for each route and round; up to three rounds while the
+            wish is not met.
     """
 
     routes: tuple[Route, ...] = ("lyapunov", "linearisation")
@@ -250,12 +254,16 @@ class _Problem:
         the slowest time constant counts too.
         """
         scale = self.wish.settling or self.duration
+        urgency = 1.0 if self.wish.settling is None else 2.0
         if math.isfinite(found.settling):
-            settling = max(found.settling, float(self.h))
-            late = math.log(settling / scale) + 2.0 * found.final
+            settling, rough = (max(t, float(self.h)) for t in (found.settling, found.rough))
+            smooth = 0.5 * math.log(max(found.spread, 1e-12) / scale**2)
+            late = 0.5 * math.log(settling / scale) + 0.25 * math.log(rough / scale) + 0.25 * smooth
+            late += urgency * max(0.0, math.log(settling / scale)) + 2.0 * found.final
         else:
-            settling = scale
-            late = 1.5 + min(found.final, 10.0) + min(found.spread / scale**2, 10.0)
+            settling = self.duration
+            late = (1 + urgency) * math.log(settling / scale) + 1.5 + min(found.final, 10.0)
+            late += min(found.spread / settling**2, 10.0)
         tail = math.log(max(1.0, 4.0 / (settling * max(-abscissa, 1e-30))))
         beyond = 0.0 if self.wish.overshoot is None else max(0.0, min(found.overshoot, 10.0) - self.wish.overshoot)
         return late + _TAIL * min(tail, 30.0) + 10 * beyond + 0.2 * min(found.overshoot, 5.0)
@@ -524,7 +532,10 @@ def _attempt(problem: _Problem, route: Route, before: Response, progress: Progre
     _floor(problem, judge)
     if progress:
         progress(f"search, {route}")
-    _search(problem, judge)
+    for attempt in range(_ROUNDS):
+        _search(problem, judge, problem.wish.seed + attempt)
+        if not judge.seen or _wish_is_met(problem, judge):
+            break
     floor = judge.lowest if math.isfinite(judge.lowest) else None
     ranked = _distinct(sorted(judge.seen, key=lambda item: item[0]))
     reason = "no candidate met the conditions of the route"
@@ -541,7 +552,14 @@ def _attempt(problem: _Problem, route: Route, before: Response, progress: Progre
     return Attempt(route, None, None, None, None, floor, (), notes)
 
 
-def _search(problem: _Problem, judge: _Judge) -> None:
+def _wish_is_met(problem: _Problem, judge: _Judge) -> bool:
+    """Whether the best candidate so far does what was wished; true without a wish."""
+    law = min(judge.seen, key=lambda item: item[0])[1]
+    figures = problem.spectrum.figures(problem.family.loop(law), problem.h, Fraction(1))
+    return not _unmet(problem.wish, problem.respond(law, problem.duration), figures)
+
+
+def _search(problem: _Problem, judge: _Judge, seed: int) -> None:
     """Differential evolution on numbers common to all channels, then simplexes on each channel's own.
 
     The evolution starts from the given gains, the loops with the fastest slowest mode, and a sample of the box.
@@ -552,15 +570,15 @@ def _search(problem: _Problem, judge: _Judge) -> None:
     space = _Space(problem, common=True)
     lower, upper = np.array(space.bounds).T
     size = 5 * len(lower)
-    sample = qmc.scale(qmc.LatinHypercube(len(lower), rng=problem.wish.seed).random(size), lower, upper)
+    sample = qmc.scale(qmc.LatinHypercube(len(lower), rng=seed).random(size), lower, upper)
     fastest = [x for _, x in sorted(judge.ranked, key=lambda item: item[0])][: size // 2]
     population = np.array([space.start(), *fastest, *sample])[:size]
     differential_evolution(
         lambda x: judge.cost(space.law(x)),
         space.bounds,
-        maxiter=max(2, round(problem.wish.effort * 0.5 / size)),
+        maxiter=max(2, round(problem.wish.effort * 0.6 / size)),
         init=np.clip(population, lower, upper),
-        rng=problem.wish.seed,
+        rng=seed,
         polish=False,
         tol=1e-3,
     )
@@ -568,15 +586,16 @@ def _search(problem: _Problem, judge: _Judge) -> None:
         return
     own = _Space(problem, common=False)
     least, most = np.array(own.bounds).T
-    for edge in (0.3, 0.1):
-        start = _point_of(own, min(judge.seen, key=lambda item: item[0])[1])
+    for rank, edge in ((0, 0.3), (1, 0.3), (0, 0.1)):
+        ranked = _distinct(sorted(judge.seen, key=lambda item: item[0]))
+        start = _point_of(own, ranked[min(rank * 3, len(ranked) - 1)])
         simplex = [start, *(start + edge * np.eye(len(start)))]
         minimize(
             lambda x: judge.cost(own.law(np.clip(x, least, most))),
             start,
             method="Nelder-Mead",
             options={
-                "maxfev": round(problem.wish.effort / 4),
+                "maxfev": round(problem.wish.effort / 5),
                 "initial_simplex": simplex,
                 "xatol": 1e-3,
                 "fatol": 1e-4,
@@ -665,13 +684,15 @@ def _described(problem: _Problem, route: Route, law: Law, derived: Derivation, f
         )
     region, sentence = _region(derived, route)
     notes.append(sentence)
+    reached = problem.respond(resolved, problem.duration)
+    notes += _unmet(problem.wish, reached, figures)
     periods = problem.lyapunov_periods(resolved)
     if periods.largest is not None:
         notes.append(f"the storage argument covers sample periods below {float(periods.largest):.4g} s")
     return Attempt(
         route,
         law,
-        problem.respond(resolved, problem.duration),
+        reached,
         None if figures is None else figures.abscissa,
         None if figures is None else figures.radius,
         floor,
@@ -680,6 +701,19 @@ def _described(problem: _Problem, route: Route, law: Law, derived: Derivation, f
         derived.claims,
         region,
     )
+
+
+def _unmet(wish: Wish, reached: Response, figures: Figures | None) -> list[str]:
+    """What was wished and is not reached."""
+    damping = math.inf if figures is None else figures.damping
+    lines = []
+    if wish.settling is not None and reached.settling > wish.settling:
+        lines.append(f"the wished settling time of {wish.settling:g} s is not reached: {reached.settling:.4g} s")
+    if wish.overshoot is not None and reached.overshoot > wish.overshoot:
+        lines.append(f"the wished overshoot of {wish.overshoot:g} is not reached: {reached.overshoot:.4g}")
+    if wish.damping is not None and damping < wish.damping:
+        lines.append(f"the wished damping ratio of {wish.damping:g} is not reached: {damping:.4g}")
+    return lines
 
 
 def _region(derived: Derivation, route: Route) -> tuple[Region | None, str]:
