@@ -52,6 +52,7 @@ DEVIATIONS: Final[dict[str, str]] = {
     "8.7": "the functions of the interface are called from other files",
     "11.9": "null pointers are compared with 0, so that no further header is needed",
     "12.1": "products in sums stand without parentheses, as in any formula",
+    "15.4": "the solver of a block leaves its loop in two places",
     "15.5": "a refused step returns at once",
 }
 

@@ -77,8 +77,8 @@ class Emulated:
         self.target = target
         self.flags = tuple(flags)
         self.compiler = compiler
-        self._image = _Image.build(files, self.interface, target, self.flags, compiler)
-        self._machine = _Machine(self._image, target)
+        self._image = Image.build(files, self.interface, target, self.flags, compiler)
+        self._machine = Machine(self._image, target)
         size = self.interface.dtype.itemsize
         self._size = size
         self.state_bytes = self._image.state_bytes
@@ -190,7 +190,7 @@ def measure(
 
 
 @dataclass(frozen=True)
-class _Image:
+class Image:
     """A linked program and the package's own object file."""
 
     segments: tuple[tuple[int, bytes, int], ...]
@@ -202,7 +202,7 @@ class _Image:
     @staticmethod
     def build(
         files: Mapping[str, str], interface: Interface, target: Target, flags: Sequence[str], compiler: CompilerName
-    ) -> _Image:
+    ) -> Image:
         prefix = interface.prefix
         with tempfile.TemporaryDirectory(prefix="pbcgen-") as name:
             directory = Path(name)
@@ -215,10 +215,11 @@ class _Image:
             own, linked = directory / "own.o", directory / "image"
             _run([*compiling, *flags, "-c", str(directory / f"{prefix}.c"), "-o", str(own)], target)
             _run([*linking[:-1], *flags, str(directory / "main.c"), str(own), linking[-1], "-o", str(linked)], target)
-            return _Image._read(own, linked)
+            return Image.read(own, linked)
 
     @staticmethod
-    def _read(own: Path, linked: Path) -> _Image:
+    def read(own: Path, linked: Path) -> Image:
+        """The linked program, with the sizes of the package's own object file."""
         from elftools.elf.elffile import ELFFile
 
         with linked.open("rb") as stream:
@@ -231,7 +232,7 @@ class _Image:
             state = next(entry["st_size"] for entry in table if entry.name == "the_state")
         with own.open("rb") as stream:
             sizes = _sections(ELFFile(stream))
-        return _Image(segments, symbols, sizes["text"], sizes["static"], state)
+        return Image(segments, symbols, sizes["text"], sizes["static"], state)
 
     def address(self, symbol: str) -> int:
         """Raises ToolchainError if the symbol is not in the image."""
@@ -316,10 +317,10 @@ def _compiler_version(target: Target, compiler: CompilerName) -> str:
     return f"{'gcc' if compiler == 'gcc' else 'clang'} {version.group() if version else ''}".strip()
 
 
-class _Machine:
+class Machine:
     """The processor with the image loaded, a painted stack, and an instruction counter."""
 
-    def __init__(self, image: _Image, target: Target) -> None:
+    def __init__(self, image: Image, target: Target) -> None:
         import unicorn
         from unicorn import arm_const, riscv_const
 
@@ -346,7 +347,7 @@ class _Machine:
         self._count = 0
         self._uc.hook_add(unicorn.UC_HOOK_CODE, self._counted)
 
-    def _load(self, image: _Image) -> None:
+    def _load(self, image: Image) -> None:
         pages: set[int] = set()
         for address, _, size in image.segments:
             pages |= set(range(address // _PAGE, (address + size - 1) // _PAGE + 1))
