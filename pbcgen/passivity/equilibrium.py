@@ -170,23 +170,50 @@ def _search(
     point = points[0]
     if len(points) > 1:
         point = min(points, key=lambda p: _distance(plant, p, design.near))
-    return _accept(plant, design, equations, point, completions)
+    return _accept(plant, design, equations, square, point, completions)
 
 
 def _accept(
     plant: Plant,
     design: Design,
     equations: _Equations,
+    square: _SquareSystem,
     point: Point,
     completions: tuple[Mapping[str, float], ...],
 ) -> Equilibrium:
+    """The verdict on a zero of the square system: the equations that it left out must hold too, exactly."""
     (residuals,) = plant.at(point, equations.expressions)
     values = [row[0] for row in residuals]
     if any(sign(v) in (1, -1) for v in values):
         return _not_assignable(plant, design, equations, point, values)
+    open_rows = [i for i, v in enumerate(values) if i not in square.rows and sign(v) != 0]
+    if not all(_implied(plant, equations.expressions[i], square) for i in open_rows):
+        why = f"{len(open_rows)} equations beyond the unknowns hold within balls only"
+        return Equilibrium(_undecided(why, values), None, completions)
     size = max(radius(v) for v in (*point.x, *point.u))
     evidence = f"one zero of f + g u in a ball of radius {float(size):.1e} around {_show(plant, point)}"
     return Equilibrium(_proved(plant, point, "Krawczyk test in ball arithmetic", evidence), point, completions)
+
+
+def _implied(plant: Plant, expression: ca.SX, square: _SquareSystem) -> bool:
+    """Whether an equation is a combination, with constant coefficients, of those of the square system."""
+    try:
+        field, (values,) = plant.exact(ca.vertcat(expression, square.expressions), known=square.known)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return False
+    functions = values.column(field.const(0))
+    if not all(function.is_polynomial() for function in functions):
+        return False
+    rows: dict[object, Row] = {}
+    for k, function in enumerate(functions):
+        for exponents, coefficient in function.numerator.to_dict().items():
+            key, value = (CONSTANT, -coefficient) if k == 0 else (k, coefficient)
+            rows.setdefault(tuple(exponents), {})[key] = value
+    try:
+        reduce_rows(rows.values())
+    except Inconsistent:
+        return False
+    return True
 
 
 @dataclass(frozen=True)
@@ -199,7 +226,7 @@ class _SquareSystem:
     expressions: ca.SX
     jacobian: ca.SX
     search: Search
-    surplus: bool
+    rows: tuple[int, ...]
 
     @staticmethod
     def choose(
@@ -212,7 +239,6 @@ class _SquareSystem:
         rows = _independent_rows(plant, jacobian, equations.names, known, unknown, search)
         if len(rows) < len(unknown):
             return None
-        touching = [i for i in range(equations.expressions.numel()) if jacobian[i, :].nnz()]
         return _SquareSystem(
             plant,
             known,
@@ -220,7 +246,7 @@ class _SquareSystem:
             equations.expressions[rows],
             jacobian[rows, :],
             search,
-            len(touching) > len(rows),
+            tuple(rows),
         )
 
     def zeros(self) -> list[NDArray[np.float64]]:

@@ -196,3 +196,16 @@ def test_a_rational_posture_is_exact_although_the_inertia_is_not():
     found = _complete(arm.lower(), {"q": "0.1"})
     assert found.claim.status is Status.PROVED
     assert lower(found.point.u[0]) == upper(found.point.u[0]) == Fraction(1, 10)
+
+
+def test_an_equation_beyond_the_unknowns_must_hold_exactly():
+    """x1 = log 2 solves both equations of the target only to rounding when the second constant is a rounded one."""
+    x1, x2, u = (ca.SX.sym(name) for name in ("x1", "x2", "u"))
+    system = AffineSystem([x1, x2], [u], [x2, -x1 - x2], [0, 1], x1**2 / 2 + x2**2 / 2)
+    exponential = {"e": (ca.exp(x1), 2)}
+    rounded = {**exponential, "again": (ca.exp(2 * x1) + x1, "4.693147180559945309417232121458176568")}
+    design = Design(system, rounded, DynamicExtension(1, 1, 1, 1), sample_period="1e-3", name="rounded")
+    assert complete(Plant(system), design).claim.status != "PROVED"
+    doubled = {**exponential, "again": (3 * ca.exp(x1), 6)}
+    design = Design(system, doubled, DynamicExtension(1, 1, 1, 1), sample_period="1e-3", name="doubled")
+    assert complete(Plant(system), design).claim.status == "PROVED"
