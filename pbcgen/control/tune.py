@@ -64,6 +64,9 @@ _DIGITS = 3
 #: Searches with other seeds while the wish is not met.
 _ROUNDS = 3
 
+#: Candidates that are rounded and compared over the whole run before the first is proved.
+_SHORTLIST = 10
+
 #: Time for the search of a level set that is attracted to the target, seconds.
 _REGION_SECONDS = 5.0
 
@@ -539,10 +542,9 @@ def _attempt(problem: _Problem, route: Route, before: Response, progress: Progre
     floor = judge.lowest if math.isfinite(judge.lowest) else None
     ranked = _distinct(sorted(judge.seen, key=lambda item: item[0]))
     reason = "no candidate met the conditions of the route"
-    for law in ranked[:6]:
+    for rounded in _best_rounded(problem, judge, ranked[:_SHORTLIST])[:6]:
         if progress:
             progress(f"prove, {route}")
-        rounded = _rounded(problem, route, law)
         derived = derive(problem.design.with_(law=rounded), None, Sampling())
         failed = _failed(problem, route, derived)
         if failed is None:
@@ -552,11 +554,27 @@ def _attempt(problem: _Problem, route: Route, before: Response, progress: Progre
     return Attempt(route, None, None, None, None, floor, (), notes)
 
 
+def _best_rounded(problem: _Problem, judge: _Judge, laws: Sequence[Law]) -> list[Law]:
+    """The laws with rounded gains, those that meet the wish first, then by their cost over the whole run."""
+    judge.duration = problem.duration
+    ranked = []
+    for law in laws:
+        rounded = _rounded(problem, judge.route, law)
+        figures = problem.spectrum.figures(problem.family.loop(rounded), problem.h, Fraction(1))
+        unmet = _unmet(problem.wish, problem.respond(rounded, problem.duration), figures)
+        judge.duration = problem.duration
+        ranked.append((len(unmet), judge.cost(rounded), rounded))
+    return [law for _, _, law in sorted(ranked, key=lambda item: item[:2])]
+
+
 def _wish_is_met(problem: _Problem, judge: _Judge) -> bool:
-    """Whether the best candidate so far does what was wished; true without a wish."""
-    law = min(judge.seen, key=lambda item: item[0])[1]
-    figures = problem.spectrum.figures(problem.family.loop(law), problem.h, Fraction(1))
-    return not _unmet(problem.wish, problem.respond(law, problem.duration), figures)
+    """Whether some candidate does what was wished, with rounded gains; true without a wish."""
+    ranked = _distinct(sorted(judge.seen, key=lambda item: item[0]))
+    seen = list(judge.seen)
+    best = _best_rounded(problem, judge, ranked[:3])[0]
+    judge.seen[:] = seen
+    figures = problem.spectrum.figures(problem.family.loop(best), problem.h, Fraction(1))
+    return not _unmet(problem.wish, problem.respond(best, problem.duration), figures)
 
 
 def _search(problem: _Problem, judge: _Judge, seed: int) -> None:
