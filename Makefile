@@ -25,9 +25,9 @@ env: .venv/installed ## install pbcgen and its tools into .venv
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
-demo: $(SYSTEMS:%=demo-%) ## check, generate, validate and draw five systems
+demo: $(SYSTEMS:%=demo-%) ## check, generate, validate, draw and report five systems
 	@printf '\n%s\n' 'Proved, generated, compiled and validated:'
-	@for system in $(SYSTEMS); do printf '  %-17s C in demo/%s/, picture demo/%s.png\n' $$system $$system $$system; done
+	@for system in $(SYSTEMS); do printf '  %-17s C in demo/%s/, picture demo/%s.png, report demo/%s.html\n' $$system $$system $$system $$system; done
 
 demo-%: env
 	@printf '\n======== %s ========\n\n' $*
@@ -39,6 +39,8 @@ demo-%: env
 	@$(PBCGEN) validate $*
 	@echo
 	@$(PBCGEN) simulate $* --plot demo/$*.png
+	@echo
+	@$(PBCGEN) report $* -o demo/$*.html
 
 test: lint ## lint, types and tests
 	$(BIN)/python -m pytest -n 2
