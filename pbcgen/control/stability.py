@@ -69,7 +69,7 @@ def _stable(continuous: Stability, by_lyapunov: bool, premises: Sequence[str], m
         evidence = f"spectral abscissa {continuous.extreme:.6g}; the Lyapunov route is {_why_not(missing)}"
         return Claim("stable", Status.PROVED, "near x*", _LINEARISATION, evidence, certificate=_certificate(continuous))
     if continuous.status is Status.REFUTED:
-        return _unstable("stable", continuous)
+        return _unstable("stable", continuous, missing)
     return Claim(
         "stable",
         Status.UNDECIDED,
@@ -100,7 +100,7 @@ def _asymptotic(continuous: Stability, by_lyapunov: bool, missing: Sequence[str]
             certificate=_certificate(continuous),
         )
     if continuous.status is Status.REFUTED:
-        return _unstable("asymptotically-stable", continuous)
+        return _unstable("asymptotically-stable", continuous, missing)
     decided = beyond_linearisation(situation, by_lyapunov)
     if decided is not None:
         return decided
@@ -114,13 +114,14 @@ def _asymptotic(continuous: Stability, by_lyapunov: bool, missing: Sequence[str]
     )
 
 
-def _unstable(claim: str, continuous: Stability) -> Claim:
+def _unstable(claim: str, continuous: Stability, missing: Sequence[str]) -> Claim:
+    where = "raise alpha*beta where the target is unstable without control"
     return Claim(
         claim,
         Status.REFUTED,
         "near x*",
         _LINEARISATION,
         f"the linearised closed loop has an eigenvalue with real part {continuous.extreme:.6g} > 0",
-        "satisfy hessian-condition and kc-bound; raise alpha*beta where the target is unstable without control",
+        f"satisfy {', '.join(missing)}; {where}" if missing else where,
         {"spectral_abscissa": f"{continuous.extreme:.9g}"},
     )

@@ -37,6 +37,10 @@ _MOST_SYNTHESISED = 8
 _TOLERANCES = (1e-3, 1e-6)
 
 
+#: The strategy of a gamma that comes with the model.
+_GIVEN = "given with the model"
+
+
 @dataclass(frozen=True, eq=False)
 class PassiveOutput:
     """gamma and where it comes from.
@@ -102,7 +106,7 @@ def _solve(plant: Plant, matrix: ca.SX, right: ca.SX) -> ca.SX | None:
 def _candidates(plant: Plant, structure: PowerStructure | None) -> Iterator[_Candidate | _Obstacle]:
     system = plant.system
     if system.gamma is not None:
-        yield _Candidate("given with the model", system.gamma)
+        yield _Candidate(_GIVEN, system.gamma)
         return
     mechanics, circuit = system.mechanical, system.circuit
     if mechanics is not None and not ca.depends_on(mechanics.G, system.x):
@@ -411,8 +415,16 @@ def _unproved(candidate: _Candidate, storage_proved: bool, region: Region) -> Cl
         region.text,
         "exact algebra" + squares_tried(),
         f"candidate gamma: {candidate.strategy}; {why}",
-        "check the storage and the signs of the dissipation" if not storage_proved else "give gamma with the model",
+        _hint(candidate, storage_proved),
     )
+
+
+def _hint(candidate: _Candidate, storage_proved: bool) -> str:
+    if not storage_proved:
+        return "check the storage and the signs of the dissipation"
+    if candidate.strategy == _GIVEN:
+        return "leave gamma out to have it derived, or check its sign and scale: gamma' must be a passive output"
+    return "give gamma with the model"
 
 
 def _impossible(plant: Plant, found: Obstruction | None) -> Claim | None:

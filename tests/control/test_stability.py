@@ -43,6 +43,7 @@ def test_a_growing_nonlinearity_with_eigenvalue_zero_is_not_proved(power):
         assert claims[claim].status is not PROVED
 
 
+@pytest.mark.slow
 def test_an_undamped_symmetric_mode_is_stable_and_not_asymptotically_stable():
     """Two equal pendulums, the same force on both: the motion against each other is not seen."""
     start = time.perf_counter()

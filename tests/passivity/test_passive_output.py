@@ -55,7 +55,9 @@ def test_the_natural_output_of_an_oscillator_is_found():
 def test_a_given_gamma_with_a_wrong_factor_is_not_proved(factor):
     system = _oscillator()
     wrong = AffineSystem(system.x, system.u, system.f, system.g, system.S, gamma=[factor * system.x[0]])
-    assert _status(_find(wrong)) is not Status.PROVED
+    found = _find(wrong)
+    assert _status(found) is not Status.PROVED
+    assert "leave gamma out" in (found.claim if isinstance(found, PassiveOutput) else found).hint
 
 
 def test_a_given_gamma_may_have_a_constant():
