@@ -5,6 +5,8 @@
  */
 #include "pera.h"
 
+#ifndef ARDUINO /* there the sketch is the program */
+
 /* Reads the sensors, in the units of pera.h. */
 static void read_sensors(pera_input_t *input)
 {
@@ -42,3 +44,7 @@ int main(void)
     (void)sink;
     return (int)worst;
 }
+
+#else
+typedef int pera_example_is_empty;
+#endif

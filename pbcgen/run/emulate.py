@@ -203,6 +203,7 @@ class Image:
     def build(
         files: Mapping[str, str], interface: Interface, target: Target, flags: Sequence[str], compiler: CompilerName
     ) -> Image:
+        """Compile and link a package. Raises ToolchainError if that fails."""
         prefix = interface.prefix
         with tempfile.TemporaryDirectory(prefix="pbcgen-") as name:
             directory = Path(name)
@@ -374,12 +375,15 @@ class Machine:
         return int(self._uc.reg_read(self._arguments[0])), self._count
 
     def read(self, address: int, size: int) -> bytes:
+        """Bytes of memory."""
         return bytes(self._uc.mem_read(address, size))
 
     def write(self, address: int, data: bytes) -> None:
+        """Change bytes of memory."""
         self._uc.mem_write(address, data)
 
     def stack_used(self) -> int:
+        """Bytes of stack that the deepest call has overwritten."""
         memory = self.read(_STACK_TOP - _STACK_SIZE, _STACK_SIZE)
         untouched = len(memory) - len(memory.lstrip(bytes([_PAINT])))
         return _STACK_SIZE - untouched

@@ -28,7 +28,9 @@ def package():
 def test_the_package_has_the_files_of_the_design(package):
     sources = ["two_channels.h", "two_channels.c", "two_channels_example.c"]
     others = ["CMakeLists.txt", "Makefile", "README.md", "manifest.json", "certificate.json"]
-    assert list(package.files) == sorted([*sources, *others])
+    arduino = ["library.properties", "examples/two_channels_sketch/two_channels_sketch.ino"]
+    builds = ["two_channels.mk", "library.json", "zephyr/module.yml", "zephyr/CMakeLists.txt"]
+    assert list(package.files) == sorted([*sources, *others, *arduino, *builds])
 
 
 def test_every_file_is_ascii_with_unix_line_ends_and_no_loose_blanks(package):
@@ -119,7 +121,8 @@ def test_an_extra_file_cannot_replace_or_escape(name):
 def test_writing_twice_is_the_same_and_nothing_else_appears(package, tmp_path):
     for _ in range(2):
         package.write(tmp_path / "new" / "out")
-    found = {path.name: path.read_bytes() for path in (tmp_path / "new" / "out").iterdir()}
+    out = tmp_path / "new" / "out"
+    found = {path.relative_to(out).as_posix(): path.read_bytes() for path in out.rglob("*") if path.is_file()}
     assert found == {name: text.encode() for name, text in package.files.items()}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 from typing import TYPE_CHECKING
@@ -119,3 +120,48 @@ def test_a_consumer_builds_with_cmake(how, tmp_path):
     run(["cmake", "-S", str(consumer), "-B", str(build / "c"), f"-DCMAKE_PREFIX_PATH={tmp_path / 'root'}"])
     run(["cmake", "--build", str(build / "c")])
     run([str(build / "c" / "main")])
+
+
+def test_the_makefile_fragment_builds_a_consumer(packages, tmp_path):
+    if not shutil.which("make"):
+        pytest.skip("make is missing")
+    directory = packages[0]
+    prefix = next(directory.glob("*.h")).stem
+    (tmp_path / "main.c").write_text((directory / f"{prefix}_example.c").read_text())
+    (tmp_path / "Makefile").write_text(
+        f"include {directory}/{prefix}.mk\nU := {prefix.upper()}\n"
+        "main: main.c\n\t$(CC) $($(U)_CFLAGS) main.c $($(U)_SOURCES) $($(U)_LIBS) -o main && ./main\n"
+    )
+    run(["make", "-s", f"CC={' '.join(compiler())} -std=c99"], cwd=tmp_path)
+
+
+def test_the_arduino_sketch_compiles_as_cpp(packages, tmp_path):
+    stub = "extern unsigned long micros();\nvoid setup();\nvoid loop();\n"
+    for directory in packages:
+        sketch = next((directory / "examples").rglob("*.ino"))
+        (tmp_path / "sketch.cpp").write_text(stub + sketch.read_text())
+        flags = ["-xc++", "-std=c++17", "-Wall", "-Wextra", "-Werror", f"-I{directory}"]
+        run([*compiler(), *flags, "-c", str(tmp_path / "sketch.cpp"), "-o", str(tmp_path / "sketch.o")])
+        example = next(directory.glob("*_example.c"))
+        run([*compiler(), "-std=c99", "-DARDUINO=1", "-pedantic", "-Werror", "-c", str(example), "-o", "/dev/null"])
+
+
+def test_the_library_manifests_are_valid(packages):
+    for directory in packages:
+        library = json.loads((directory / "library.json").read_text())
+        assert {"name", "version", "headers"} <= set(library)
+        assert (directory / library["headers"]).exists()
+        properties = dict(line.split("=", 1) for line in (directory / "library.properties").read_text().splitlines())
+        required = {
+            "name",
+            "version",
+            "author",
+            "maintainer",
+            "sentence",
+            "paragraph",
+            "category",
+            "url",
+            "architectures",
+        }
+        assert required <= set(properties)
+        assert (directory / properties["includes"]).exists()

@@ -13,7 +13,8 @@ SYSTEMS = ("coupling_device", "pera", "rlc")
 
 
 def texts(directory):
-    return {path.name: path.read_bytes().decode("utf-8") for path in sorted(directory.iterdir()) if path.is_file()}
+    files = sorted(path for path in directory.rglob("*") if path.is_file())
+    return {path.relative_to(directory).as_posix(): path.read_bytes().decode("utf-8") for path in files}
 
 
 def test_there_is_one_package_for_each_reference_system():
