@@ -1,4 +1,4 @@
-"""What the documentation shows is what happens; see pages.py for the rules."""
+"""What the documentation shows is what happens; see doc_pages.py for the rules."""
 
 import importlib.util
 import os
@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from pages import DOCS, PAGES, ROOT, Page
+from doc_pages import DOCS, PAGES, ROOT, Page
 
 
 @pytest.mark.slow
@@ -16,7 +16,7 @@ def test_the_code_of_a_page_runs_and_prints_what_it_shows(name, tmp_path):
     page = Page(name, tmp_path)
     page.run()
     for command in page.commands:
-        hint = f"`python tests/docs/pages.py {name}` writes it into the page"
+        hint = f"`python tests/docs/doc_pages.py {name}` writes it into the page"
         assert command.as_documented, f"$ {command.line}\n{command.printed}\n{hint}"
 
 

@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 import pytest
-from designs import circuit, refused
+from shown_designs import circuit, refused
 
 from pbcgen.report import notebook
 

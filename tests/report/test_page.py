@@ -5,7 +5,7 @@ import re
 from html.parser import HTMLParser
 
 import pytest
-from designs import circuit, circuit_page, refused
+from shown_designs import circuit, circuit_page, refused
 
 from pbcgen import pipeline
 from pbcgen.control.attraction import Region

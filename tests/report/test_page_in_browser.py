@@ -5,7 +5,7 @@ import re
 import shutil
 
 import pytest
-from designs import circuit_page
+from shown_designs import circuit_page
 
 playwright = pytest.importorskip("playwright.sync_api", reason="the browser tests need `pip install playwright`")
 

@@ -6,7 +6,7 @@
     ```console                    `$ command` lines, each with what it prints on 80 columns; a line `...` is any lines,
                                   `...` at the end of a line for the rest of it
 
-``python tests/docs/pages.py`` writes the outputs of all commands into the pages again, except where a `...` stands.
+``python tests/docs/doc_pages.py`` writes the outputs of all commands into the pages again, except where a `...` stands.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ import json
 import sys
 
 import pytest
-from pages import DOCS
+from doc_pages import DOCS
 
 pytestmark = [
     pytest.mark.slow,
