@@ -382,7 +382,8 @@ def _scan(seeker: _Seeker, origin: Points, direction: Points, grid: Points) -> N
     finite = np.where(np.isfinite(values), values, np.nanmax(np.where(np.isfinite(values), values, -np.inf)))
     if not np.all(np.isfinite(finite)):
         return
-    bend = finite[:-2] + finite[2:] - 2 * finite[1:-1]
+    with np.errstate(all="ignore"):
+        bend = np.nan_to_num(finite[:-2] + finite[2:] - 2 * finite[1:-1])
     dips = np.flatnonzero((finite[1:-1] < finite[:-2]) & (finite[1:-1] <= finite[2:]))
     sharpest = dips[np.argsort(-bend[dips], kind="stable")[:6]]
     lowest = dips[np.argsort(finite[1:-1][dips], kind="stable")[:4]]

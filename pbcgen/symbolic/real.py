@@ -130,11 +130,12 @@ def approximate(value: Real) -> float:
     """The nearest double to the midpoint; infinite beyond the range of doubles, NaN if nothing is known."""
     if not is_finite(value):
         return float("nan")
+    if isinstance(value, arb):
+        return float(value.mid())
     try:
-        return float(midpoint(value))
+        return float(fraction(value))
     except OverflowError:
-        huge = not isinstance(value, arb) or abs(value) > 1
-        return float("inf") * (1 if value > 0 else -1) if huge else 0.0
+        return float("inf") * (1 if value > 0 else -1)
 
 
 def text(value: Real, digits: int = 12) -> str:
