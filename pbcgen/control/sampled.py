@@ -613,6 +613,8 @@ def decide(
         spectral = schur(loop.sampled(h))
     start = h / 1000 if delay else Fraction(0)
     found = scan(linear, h * _REACH, delay=delay, start=start, tries=None if sampling.scan else _TRIES)
+    if found.exhausted and spectral.status is not Status.PROVED:
+        found = scan(linear, h, delay=delay, start=start)  # a refusal names the largest period that is proved
     estimate = loop.scan(h, float(found.stable_to)) if found.exhausted and not delay else None
     varied = jitter(linear, h * (1 - sampling.jitter), h * (1 + sampling.jitter), delay) if sampling.jitter else None
     routes = Routes(h, storage, spectral, found, estimate, varied)
