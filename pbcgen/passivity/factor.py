@@ -15,6 +15,7 @@ from itertools import product
 
 from flint import fmpq, fmpq_mat, fmpq_mpoly
 
+from pbcgen.errors import UnsupportedOperation
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import fraction
@@ -108,6 +109,8 @@ def _unique_constant(
     if any(split is None for split in (*columns, *wanted)):
         return None
     offered = [split for split in columns if split is not None]
+    if any(v.constant() is None for split in (*columns, *wanted) for v in (split or {}).values()):
+        return None  # a coefficient such as sqrt(2): the search over the field takes it
     reachable = sorted({monomial for split in offered for monomial in split})
     position = {monomial: r for r, monomial in enumerate(reachable)}
     width = len(offered)
@@ -255,7 +258,7 @@ def _least_symmetric(
 def _number(value: Quotient) -> fmpq:
     constant = value.constant()
     if constant is None:
-        raise ValueError("a coefficient depends on a symbol")
+        raise UnsupportedOperation("a coefficient of f or grad S is no rational number")
     return constant
 
 

@@ -80,3 +80,21 @@ def test_the_gradient_of_the_front_end_is_used_when_it_is_exact():
     plant = Plant(arm.lower())
     assert plant.gradient_is_exact
     assert assumption_1(plant).by_structure
+
+
+def test_parameters_under_a_root_are_coefficients_like_others():
+    """f and grad S contain sqrt(k), which is irrational at k = 2."""
+    k = Parameters(k=2)
+    w = ca.sqrt(k.k)
+    storage = assumption_1(_system(lambda x, y: [y, -w * x - y], lambda x, y: w * x**2 / 2 + y**2 / 2, parameters=k))
+    assert storage.by_structure
+
+
+def test_a_dependence_with_irrational_coefficients_is_decided_or_left_open():
+    """grad S has two entries that are multiples of each other by sqrt(2): F is not unique."""
+    k = Parameters(k=2)
+    w = ca.sqrt(k.k)
+    storage = assumption_1(
+        _system(lambda x, y: [-(x + w * y), -w * (x + w * y)], lambda x, y: (x + w * y) ** 2 / 2, parameters=k)
+    )
+    assert storage.claim.status is not Status.REFUTED
