@@ -51,7 +51,7 @@ static void coupling_device_fall_back(coupling_device_output_t *output)
 }
 
 /*
- * tanh(r) for r >= 0: a rational function, at most 6 units in the last place (3.6e-07) off. The cut at 1 makes it 1
+ * tanh(r) for r >= 0: a rational function, at most 6.7 units in the last place (4e-07) off. The cut at 1 makes it 1
  * beyond the interval of the fit, and where a product overflows: the comparison is false for NaN.
  */
 static float coupling_device_tanh_of_magnitude(float r)

@@ -50,7 +50,7 @@ static void rlc_fall_back(rlc_output_t *output)
 }
 
 /*
- * tanh(r) for r >= 0: a rational function, at most 6 units in the last place (3.6e-07) off. The cut at 1 makes it 1
+ * tanh(r) for r >= 0: a rational function, at most 6.7 units in the last place (4e-07) off. The cut at 1 makes it 1
  * beyond the interval of the fit, and where a product overflows: the comparison is false for NaN.
  */
 static float rlc_tanh_of_magnitude(float r)
