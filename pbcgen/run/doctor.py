@@ -47,7 +47,7 @@ _OPTIONAL_PACKAGES = (
     ("ziglang", "compiling without cc and for other processors"),
     ("unicorn", "counting instructions on an emulated processor"),
     ("pyelftools", "sizes and symbols of compiled code"),
-    ("cvxpy", "proofs by semidefinite programming"),
+    ("clarabel", "proofs by semidefinite programming"),
 )
 
 _PROGRAMS = (
