@@ -89,7 +89,7 @@ def main() -> None:
     RESULT.write_text(
         "# A model predictive controller for the same task\n\n"
         f"OSQP {osqp.__version__}, generated C in float, on the emulated Cortex-M4F with gcc `{' '.join(FLAGS)}`:\n"
-        f"horizon {HORIZON} of {PERIOD:g} s, {size} unknowns, |u| <= 5, {SOLVES} warm-started solves, random states.\n\n"
+        f"horizon {HORIZON} of {PERIOD:g} s, {size} unknowns, |u| <= 5, {SOLVES} warm-started solves at random.\n\n"
         f"- instructions of a solve: mean {np.mean(counts):.0f}, worst {max(counts)}; {min(iterations)} to "
         f"{max(iterations)} iterations\n"
         f"- code {image.text} bytes, writable static data {image.static} bytes, stack {machine.stack_used()} bytes\n\n"
