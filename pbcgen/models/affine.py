@@ -14,6 +14,7 @@ from pbcgen.errors import ModelError
 from pbcgen.models.exact import Number, decimal, exact
 from pbcgen.models.expressions import (
     check_finite,
+    check_literals,
     check_symbols,
     column,
     entries,
@@ -191,6 +192,7 @@ class AffineSystem:
             check_finite(value, what)
         extra = [key for key in signals if key not in names(x)]
         unique([*names(x), *names(u), *extra, *parameters.names])
+        check_literals([storage, drift, matrix])
         fields = {
             "x": x,
             "u": u,

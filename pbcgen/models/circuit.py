@@ -19,7 +19,7 @@ from pbcgen.models.expressions import (
     symbols,
     vanishes_at_samples,
 )
-from pbcgen.models.inertia import inverse
+from pbcgen.models.inertia import inverse, named_constants
 from pbcgen.models.mechanical import input_symbols
 from pbcgen.models.parameters import Parameters
 
@@ -101,13 +101,14 @@ class Circuit:
         """
         i_L, v_C = symbols(i_L, "the currents i_L"), symbols(v_C, "the voltages v_C")
         parameters = parameters if parameters is not None else Parameters()
+        inductance = _storage(L, i_L, "the inductance L", parameters)
+        capacitance = _storage(C, v_C, "the capacitance C", parameters)
+        inductance, parameters = named_constants(inductance, "L", parameters)
+        capacitance, parameters = named_constants(capacitance, "C", parameters)
         parts = _brayton(
             i_L,
             v_C,
-            storage=(
-                _storage(L, i_L, "the inductance L", parameters),
-                _storage(C, v_C, "the capacitance C", parameters),
-            ),
+            storage=(inductance, capacitance),
             Gamma=_interconnection(Gamma, i_L, v_C, parameters),
             resistive=_resistive(v_R, P_R, i_L, ("v_R", "P_R"), parameters),
             conductive=_resistive(i_G, P_G, v_C, ("i_G", "P_G"), parameters),

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+#: Numbers beyond this ratio must be parameters.
+_LARGEST_RATIO = 1e10
+
+
 def expression(value: Any, what: str) -> ca.SX:
     """``value`` as an SX matrix: SX, DM, numbers, NumPy arrays, a list (a column) or a list of lists (rows).
 
@@ -150,13 +154,32 @@ def check_finite(value: ca.SX, what: str) -> None:
             raise ModelError(f"{where} contains a constant that is not a finite number (NaN or a division by zero)")
 
 
+def check_literals(values: Sequence[ca.SX]) -> None:
+    """Raise ModelError if numbers written into the model differ so much in size that sums of them lose digits.
+
+    CasADi adds and multiplies numbers in double precision while it builds and differentiates expressions: 1e13 - 9e-4
+    becomes 1e13. Parameters stay symbols, so that nothing is rounded.
+    """
+    sizes = sorted({abs(c) for value in values for c in _constants(value) if c})
+    if sizes and sizes[-1] > _LARGEST_RATIO * sizes[0]:
+        raise ModelError(
+            f"the model contains the numbers {sizes[0]:g} and {sizes[-1]:g}, which CasADi cannot add without rounding: "
+            "declare such constants with Parameters(...), which keeps them exact"
+        )
+
+
 def _is_finite(value: ca.SX) -> bool:
+    return all(np.isfinite(c) for c in _constants(value))
+
+
+def _constants(value: ca.SX) -> list[float]:
+    """The numbers in an expression."""
     function = ca.Function("f", [], [value], {"allow_free": True})
-    return all(
-        np.isfinite(function.instruction_constant(k))
+    return [
+        function.instruction_constant(k)
         for k in range(function.n_instructions())
         if function.instruction_id(k) == ca.OP_CONST
-    )
+    ]
 
 
 def depends(value: ca.SX, on: ca.SX) -> bool:

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
+
+from pbcgen.models.parameters import Parameters
+from pbcgen.symbolic.tape import exact_decimal
 
 _LARGEST_COFACTOR = 3
 
@@ -27,6 +32,52 @@ def solve(M: ca.SX, right: ca.SX) -> ca.SX:
 def inverse(M: ca.SX) -> ca.SX:
     """``M^-1`` for a symmetric positive definite M; see :func:`solve`."""
     return ca.sparsify(solve(M, ca.SX.eye(M.shape[0])))
+
+
+def named_constants(M: ca.SX, label: str, parameters: Parameters) -> tuple[ca.SX, Parameters]:
+    """M with its numbers as parameters, where its inverse would not be exact otherwise.
+
+    CasADi computes with the doubles that it is given: the inverse of 3 becomes a rounded number, and identities such
+    as ``M M^-1 = I`` fail by it. A number whose reciprocal is a decimal of double length stays in a block of its own.
+
+    Args:
+        M: n x n, symmetric.
+        label: how the parameters are called, followed by row and column.
+        parameters: the model's own.
+
+    Returns:
+        The matrix, and the parameters with those that were added.
+    """
+    if not _has_matching_numbers(M):
+        return M, parameters
+    result = ca.SX(M)
+    for block in independent_blocks(M):
+        if len(block) == 1 and _has_exact_inverse(M[block[0], block[0]]):
+            continue
+        for i in block:
+            for j in block:
+                if i > j or not M[i, j].is_constant() or M[i, j].is_zero():
+                    continue
+                name = f"{label}_{i + 1}_{j + 1}"
+                while name in parameters:
+                    name += "_"
+                parameters = parameters.joined(**{name: float(M[i, j])})
+                result[i, j] = parameters[name]
+                result[j, i] = parameters[name]
+    return ca.sparsify(result), parameters
+
+
+def _has_matching_numbers(M: ca.SX) -> bool:
+    """Whether the numbers in M are finite and symmetric; other matrices are for the checks that follow."""
+    numbers = {(i, j): float(M[i, j]) for i in range(M.shape[0]) for j in range(M.shape[1]) if M[i, j].is_constant()}
+    return all(math.isfinite(v) and numbers.get((j, i)) == v for (i, j), v in numbers.items())
+
+
+def _has_exact_inverse(entry: ca.SX) -> bool:
+    if not entry.is_constant():
+        return True
+    value = float(entry)
+    return value != 0 and exact_decimal(1 / value) * exact_decimal(value) == 1
 
 
 def independent_blocks(M: ca.SX) -> list[list[int]]:

@@ -20,7 +20,7 @@ from pbcgen.models.expressions import (
     symbols,
     vanishes_at_samples,
 )
-from pbcgen.models.inertia import inverse, solve
+from pbcgen.models.inertia import inverse, named_constants, solve
 from pbcgen.models.parameters import Parameters
 
 if TYPE_CHECKING:
@@ -89,6 +89,9 @@ class Mechanical:
         parameters = parameters if parameters is not None else Parameters()
         if q.numel() != p.numel():
             raise ModelError(f"there are {q.numel()} positions q and {p.numel()} momenta p: give one momentum for each")
+        if M is not None and M_inv is None:
+            given = ca.sparsify(square(M, q.numel(), "the inertia matrix M"))
+            M, parameters = named_constants(given, "M", parameters)
         parts = _mechanics(q, p, M=M, M_inv=M_inv, V=V, D=D, G=G, parameters=parameters)
         u = input_symbols(inputs, parts.G.shape[1])
         system = _affine(

@@ -113,5 +113,16 @@ class Parameters:
         object.__setattr__(copy, "_values", {**self._values, **changed})
         return copy
 
+    def joined(self, **values: Number) -> Parameters:
+        """A copy with further parameters. Raises ModelError for a name that is taken or a value that is no number."""
+        for name in values:
+            if name in self._symbols:
+                raise ModelError(f"there is a parameter `{name}` already")
+        added = Parameters(**values)
+        copy = Parameters()
+        object.__setattr__(copy, "_symbols", {**self._symbols, **added._symbols})
+        object.__setattr__(copy, "_values", {**self._values, **added._values})
+        return copy
+
     def _unknown(self, name: object) -> str:
         return f"there is no parameter `{name}`: {suggestion(name, self._symbols)}"

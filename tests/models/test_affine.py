@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from pbcgen import AffineSystem, ModelError, Parameters
+from pbcgen import AffineSystem, Mechanical, ModelError, Parameters
 
 
 @pytest.fixture
@@ -114,3 +114,17 @@ def test_a_system_does_not_change(parts):
         system.S = ca.SX(0)
     with pytest.raises(TypeError):
         system.measured["y"] = ca.SX(0)
+
+
+def test_numbers_that_casadi_would_lose_in_a_sum_must_be_parameters():
+    """The Hessian of V has 1e13 - 9e-4, which is 1e13 in double precision: a verdict on it would be wrong."""
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+
+    def system(K, w, parameters=None):
+        V = K * (q[0] - q[1]) ** 2 / 2 - w * q[1] ** 2 / 2
+        return Mechanical(q, p, M=ca.SX.eye(2), V=V, D=[1000, 1000], G=[[1], [0]], parameters=parameters)
+
+    with pytest.raises(ModelError, match=r"declare such constants with Parameters"):
+        system(1e13, 9e-4)
+    constants = Parameters(K="1e13", w="9e-4")
+    assert system(constants.K, constants.w, constants).system.n == 4

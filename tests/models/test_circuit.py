@@ -2,7 +2,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from pbcgen import Circuit, ModelError, Parameters
+from pbcgen import Circuit, Design, DynamicExtension, ModelError, Parameters, check
 
 P = Parameters(L1="0.01", L2="0.02", C="2e-4", r=100, a="1e-7", b="0.25")
 X1, X2, X3 = (ca.SX.sym(name) for name in ("x1", "x2", "x3"))
@@ -129,3 +129,13 @@ def test_coupled_inductors_and_a_circuit_without_capacitors():
 def test_a_bad_circuit_is_refused_by_name(changes, message):
     with pytest.raises(ModelError, match=message):
         Circuit(**{**RLC, **changes})
+
+
+def test_numbers_in_the_storage_elements_stay_exact():
+    """A ladder with L = 3 and C = 7: neither reciprocal is a decimal."""
+    i, v = ca.SX.sym("i"), ca.SX.sym("v")
+    circuit = Circuit(i, v, L=[3], C=[7], Gamma=[[1]], v_R=[i], i_G=[2 * v], g_L=[[-1]])
+    design = Design(circuit, {"v": 1}, DynamicExtension(1, 1, 1, 1), sample_period="1e-3", name="ladder")
+    claims = {claim.claim: claim for claim in check(design).claims}
+    assert claims["assumption-1"].status == "PROVED"
+    assert claims["passive-output"].status == "PROVED"
