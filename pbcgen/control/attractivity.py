@@ -37,6 +37,9 @@ from pbcgen.symbolic.linear import Inconsistent, Row, reduce_rows
 from pbcgen.symbolic.real import BITS, Real, approximate, ball, fraction, precision, sign, text
 from pbcgen.symbolic.tape import exact_decimal
 
+#: Other equilibria are not searched for in systems with more states.
+_LARGEST_SEARCH = 12
+
 #: Functions that are defined and smooth for every argument.
 _ENTIRE_KINDS = frozenset({"sin", "cos", "exp", "tanh", "atan", "asinh", "erf"})
 
@@ -242,9 +245,14 @@ def globally(situation: Situation, by_lyapunov: bool, asymptotic: Claim) -> Clai
         return _verdict(
             Status.REFUTED, asymptotic.method, asymptotic.evidence, asymptotic.hint, asymptotic.counterexample
         )
-    second = _second_equilibrium(situation)
-    if second is not None:
-        return second
+    proved_or_open = _by_storage(situation, by_lyapunov)
+    if proved_or_open.status is Status.PROVED:
+        return proved_or_open
+    return _second_equilibrium(situation) or proved_or_open
+
+
+def _by_storage(situation: Situation, by_lyapunov: bool) -> Claim:
+    """PROVED by the Lyapunov function, or what is missing for that."""
     if isinstance(situation.law, Integral):
         return _verdict(
             Status.UNDECIDED,
@@ -392,7 +400,7 @@ def _monotone(situation: Situation, found: InvariantSet) -> bool:
 
 def _second_equilibrium(situation: Situation) -> Claim | None:
     """Search for a rest of the closed loop away from x*, and certify it."""
-    if isinstance(situation.law, Integral):
+    if isinstance(situation.law, Integral) or situation.plant.system.n > _LARGEST_SEARCH:
         return None
     system = situation.plant.system
     residual = _rest_equations(situation)
@@ -407,7 +415,7 @@ def _second_equilibrium(situation: Situation) -> Claim | None:
 
     star = np.array([approximate(v) for v in (*situation.point.x, *situation.point.u)])
     spread = np.full(n + system.m, 10.0)
-    around = Search(star - spread, star + spread, samples=24)
+    around = Search(star - spread, star + spread, samples=12)
     tape = situation.plant.tape(residual, jacobian)
 
     def in_balls(values: list[Real]) -> tuple[list[Real], list[list[Real]]]:

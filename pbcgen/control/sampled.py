@@ -43,6 +43,10 @@ from pbcgen.symbolic.real import BITS, Real, ball, enclose, midpoint, precision,
 #: How far the scan goes, as a multiple of the design's period, and how many cells a quick one may try.
 _REACH = 10**4
 _TRIES = 60
+#: Work of the scan in `check`: cells times the cube of the number of states.
+_WORK = 60_000
+#: For larger loops a refusal names no other period and no gain change.
+_LARGEST_SEARCH = 20
 
 #: The Lyapunov bound on h is given as a rational below the true one by at most this factor.
 _SHARP = Fraction(1, 10**9)
@@ -612,14 +616,18 @@ def decide(
         )
         spectral = schur(loop.sampled(h))
     start = h / 1000 if delay else Fraction(0)
-    found = scan(linear, h * _REACH, delay=delay, start=start, tries=None if sampling.scan else _TRIES)
-    if found.exhausted and spectral.status is not Status.PROVED:
+    size = situation.plant.system.n + situation.loop.graph.xi.numel()
+    tries = min(_TRIES, max(_WORK // size**3, 1))
+    found = scan(linear, h * _REACH, delay=delay, start=start, tries=None if sampling.scan else tries)
+    refused = spectral.status is not Status.PROVED and size <= _LARGEST_SEARCH
+    if found.exhausted and refused:
         found = scan(linear, h, delay=delay, start=start)  # a refusal names the largest period that is proved
-    estimate = loop.scan(h, float(found.stable_to)) if found.exhausted and not delay else None
+    small = size <= _LARGEST_SEARCH
+    estimate = loop.scan(h, float(found.stable_to)) if found.exhausted and not delay and small else None
     varied = jitter(linear, h * (1 - sampling.jitter), h * (1 + sampling.jitter), delay) if sampling.jitter else None
     routes = Routes(h, storage, spectral, found, estimate, varied)
     change = None
-    if routes.spectral.status is not Status.PROVED and asymptotic.status is Status.PROVED:
+    if refused and asymptotic.status is Status.PROVED:
         family = LoopFamily.of(situation.plant, situation.point, situation.gamma, situation.eta)
         change = gain_change(family, situation.law, h, lambda law: _hurwitz(family, law), delay)
     return verdict(routes, asymptotic, overall, change), routes
