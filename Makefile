@@ -76,6 +76,7 @@ fuzz: env ## fuzz the step for 10 minutes (apt: clang); FUZZ_SECONDS=n for anoth
 	FUZZ_SECONDS=$${FUZZ_SECONDS:-600} $(BIN)/python -m pytest tests/emit/test_fuzz.py -s -rs
 
 bench: env ## measure a step against other generators, into benchmarks/results/
+	$(BIN)/python -m benchmarks.tool
 	$(BIN)/python -m benchmarks.step
 
 clean: ## remove everything that make wrote, .venv too

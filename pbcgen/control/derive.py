@@ -26,7 +26,7 @@ from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, Pot
 from pbcgen.models.laws import gains as gains_of
 from pbcgen.passivity import passive_output
 from pbcgen.passivity.dissipation import NaturalDampingBounds, ThetaVerdict, assumption_3, theta
-from pbcgen.passivity.equilibrium import Equilibrium, complete, input_rank
+from pbcgen.passivity.equilibrium import Equilibrium, assignable_set, complete, input_rank
 from pbcgen.passivity.passive_output import PassiveOutput as PassiveOutputResult
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.shaping import (
@@ -232,7 +232,7 @@ def _check_compensation(plant: Plant, law: Law) -> None:
 
 def _formulas(plant: Plant, output: PassiveOutputResult | None, eta: ca.SX | None) -> dict[str, Any]:
     """gamma and eta as text with the parameters' names."""
-    result: dict[str, Any] = {}
+    result: dict[str, Any] = {"assignable_set": assignable_set(plant)}
     for name, expression in (("gamma", output.gamma if output else None), ("eta", eta)):
         if expression is None or expression.numel() == 0:
             continue

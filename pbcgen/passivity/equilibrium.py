@@ -22,6 +22,7 @@ from pbcgen.passivity.plant import Plant, Point
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
 from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
+from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, determined, reduce_rows
 from pbcgen.symbolic.real import (
@@ -554,6 +555,30 @@ def nearest_assignable(plant: Plant, design: Design) -> dict[str, float] | None:
         return None
     x = np.where(np.abs(found.x[:n]) > 1e-9 * np.max(np.abs(found.x[:n])), found.x[:n], 0.0)
     return dict(zip(system.state_names, (float(v) for v in x), strict=True))
+
+
+def assignable_set(plant: Plant) -> list[str]:
+    """The equations ``g_perp(x) f(x) = 0`` of the assignable equilibria, as text in the parameters' names.
+
+    g_perp is a basis of the left annihilator of g over the rational functions. Empty when f or g is not analytic.
+    """
+    system = plant.system
+    try:
+        field, (f, g) = plant.exact(system.f, system.g, symbolic=True)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return []
+    zero = field.const(0)
+    drift, rows = f.column(zero), g.dense(zero)
+    solved = reduce_rows([{i: rows[i][j] for i in range(system.n)} for j in range(system.m)])
+    equations = []
+    for free in (k for k in range(system.n) if k not in solved):
+        total = drift[free]
+        for pivot, row in solved.items():
+            if free in row:
+                total = total - row[free] * drift[int(str(pivot))]
+        if not total.is_zero():
+            equations.append(f"{formula(field.polynomial(total.numerator), plant.parameter_positions())} = 0")
+    return equations
 
 
 def input_rank(plant: Plant, point: Point) -> Claim:

@@ -66,7 +66,9 @@ def test_an_inertia_matrix_that_is_not_quite_symmetric_does_not_pass():
     """M_inv passes the sampled check of the front end; the power is of the order of the asymmetry, and positive."""
     q, p = [ca.SX.sym("q1"), ca.SX.sym("q2")], [ca.SX.sym("p1"), ca.SX.sym("p2")]
     c = ca.cos(q[0])
-    arm = Mechanical(q, p, M_inv=[[2, c], [c + 1e-10 * ca.sin(q[0]), 2]], V=q[0] ** 2 + q[1] ** 2, G=[[1, 0], [0, 1]])
+    k = Parameters(e="1e-10")
+    M_inv = [[2, c], [c + k.e * ca.sin(q[0]), 2]]
+    arm = Mechanical(q, p, M_inv=M_inv, V=q[0] ** 2 + q[1] ** 2, G=[[1, 0], [0, 1]], parameters=k)
     plant = Plant(arm.lower())
     assert not plant.gradient_is_exact
     assert assumption_1(plant).claim.status is Status.REFUTED

@@ -15,7 +15,7 @@ from pbcgen.verify.files import read, verify
 def package(tmp_path_factory):
     directory = tmp_path_factory.mktemp("package") / "c"
     pipeline.generate(oscillator(), directory, prefix="osc")
-    return {path.name: path.read_bytes() for path in directory.iterdir()}
+    return {str(path.relative_to(directory)): path.read_bytes() for path in directory.rglob("*") if path.is_file()}
 
 
 @pytest.fixture
