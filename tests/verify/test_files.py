@@ -21,6 +21,7 @@ def package(tmp_path_factory):
 @pytest.fixture
 def directory(package, tmp_path):
     for name, content in package.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(content)
     return tmp_path
 
