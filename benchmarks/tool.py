@@ -31,7 +31,8 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as directory:
             time = seconds([sys.executable, "-m", "pbcgen", "generate", system, "-o", f"{directory}/{system}"])
         rows.append(f"| pbcgen generate {system} | {time:.2f} | {time / reference:.1f} |")
-    text = "\n".join(["# The tool", "", "Check and generate, process start included; the best of three runs.", "", *rows])
+    heading = ["# The tool", "", "Check and generate, process start included; the best of three runs.", ""]
+    text = "\n".join([*heading, *rows])
     RESULT.write_text(text + "\n")
     print(text)
 
