@@ -53,8 +53,17 @@ class Storage:
         return self.claim.status is Status.PROVED
 
 
+#: Operations that make a function jump; its derivative, as CasADi takes it, is silent about that.
+_JUMPING = ("if_else_zero", "floor", "ceil", "sign", "copysign", "fmod", "remainder", "lt", "le", "eq", "ne", "not_")
+
+
 def assumption_1(plant: Plant) -> Storage:
     """Prove, refute or leave open that the storage is nonincreasing for u = 0."""
+    tape = plant.tape(plant.system.S)
+    if any(tape.uses(name) for name in _JUMPING):
+        evidence = "S contains a comparison, a rounding or a sign, so it may jump, and its derivative does not show it"
+        hint = "write a smooth storage"
+        return Storage(Claim("assumption-1", Status.UNDECIDED, "all x", "not reached", evidence, hint), None)
     found = power_structure(plant) if plant.gradient_is_exact else None
     structure = found[0] if found else None
     whole = Region.whole(plant)
