@@ -28,6 +28,16 @@ def _is_identity(make, count=2):
     return _exact(x, make(*ca.vertsplit(x))).is_zero()
 
 
+def _is_undefined_nearby(tape, reals):
+    """Whether the point is an isolated one, as b = -1 is for b^c at c = 2: no function of (b, c) has a value around it."""
+    nudges = [
+        [v + rational(Fraction(d, 10**9)) if k == j else v for k, v in enumerate(reals)]
+        for j in range(3)
+        for d in (-1, 1)
+    ]
+    return not all(is_finite(tape.walk(REAL, [near])[0].scalar(rational(0))) for near in nudges)
+
+
 @settings(max_examples=250, deadline=None)
 @given(graphs(ANALYTIC_UNARY, ANALYTIC_BINARY, size=6))
 def test_an_exact_function_a_ball_and_casadi_agree(case):
@@ -47,7 +57,9 @@ def test_an_exact_function_a_ball_and_casadi_agree(case):
             if not is_finite(ball):
                 continue
             there = value(exact, reals)
-        assert is_finite(there)
+            if not is_finite(there):
+                assert _is_undefined_nearby(tape, reals)
+                continue
         with precision(BITS):
             assert arb(there).overlaps(arb(ball))
         expected = float(function([float(v) for v in point]))
