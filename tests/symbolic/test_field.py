@@ -29,7 +29,7 @@ def _is_identity(make, count=2):
 
 
 def _is_undefined_nearby(tape, reals):
-    """Whether the point is an isolated one, as b = -1 is for b^c at c = 2: no function of (b, c) has a value around it."""
+    """Whether the value is isolated, as that of b^c is at (-1, 2): around it nothing is defined."""
     nudges = [
         [v + rational(Fraction(d, 10**9)) if k == j else v for k, v in enumerate(reals)]
         for j in range(3)
