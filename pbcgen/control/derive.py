@@ -25,8 +25,9 @@ from pbcgen.models.design import Design
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.models.laws import gains as gains_of
 from pbcgen.passivity import passive_output
+from pbcgen.passivity.assignable import assignable_set
 from pbcgen.passivity.dissipation import NaturalDampingBounds, ThetaVerdict, assumption_3, theta
-from pbcgen.passivity.equilibrium import Equilibrium, assignable_set, complete, input_rank
+from pbcgen.passivity.equilibrium import Equilibrium, complete, input_rank
 from pbcgen.passivity.passive_output import PassiveOutput as PassiveOutputResult
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.shaping import (

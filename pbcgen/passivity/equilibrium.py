@@ -13,16 +13,16 @@ from fractions import Fraction
 
 import casadi as ca
 import numpy as np
-from flint import fmpq
+from flint import fmpq, fmpq_mpoly
 from numpy.typing import NDArray
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.models.design import Condition, Design
+from pbcgen.models.design import Design
+from pbcgen.passivity.assignable import best_point, nearest_assignable, residual_of, target_values
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
 from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
-from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, determined, reduce_rows
 from pbcgen.symbolic.real import (
@@ -40,6 +40,9 @@ from pbcgen.symbolic.real import (
     upper,
 )
 from pbcgen.symbolic.tape import exact_decimal
+
+#: Equations with more terms are not searched for powers of a linear function.
+_MOST_TERMS = 200
 
 
 @dataclass(frozen=True)
@@ -70,17 +73,9 @@ class _Equations:
     def of(plant: Plant, design: Design) -> _Equations:
         system = plant.system
         conditions = design.target.conditions
-        residuals = ca.vertcat(system.xdot, *[_residual(c) for c in conditions])
+        residuals = ca.vertcat(system.xdot, *[residual_of(c) for c in conditions])
         labels = (*[f"d{n}/dt" for n in system.state_names], *[f"target {c.name}" for c in conditions])
         return _Equations(plant, (*system.state_names, *system.input_names), residuals, labels)
-
-
-def _residual(condition: Condition) -> ca.SX:
-    """``expression - value``, or a multiple of it when the value has no exact decimal of double length."""
-    value = condition.value
-    if exact_decimal(float(value)) == value:
-        return condition.expression - float(value)
-    return condition.expression * float(value.denominator) - float(value.numerator)
 
 
 def complete(plant: Plant, design: Design) -> Equilibrium:
@@ -91,16 +86,11 @@ def complete(plant: Plant, design: Design) -> Equilibrium:
     except Inconsistent as contradiction:
         return _refuted(plant, design, contradiction)
     except (UnsupportedOperation, ZeroDivisionError):
-        known = _target_values(design)
+        known = target_values(design)
     unknown = [name for name in equations.names if name not in known]
     if not unknown:
         return _verify(plant, design, equations, known)
     return _search(plant, design, equations, known, unknown)
-
-
-def _target_values(design: Design) -> dict[str, Fraction]:
-    states = set(design.system.state_names)
-    return {c.name: c.value for c in design.target.conditions if c.name in states}
 
 
 def _linear_consequences(equations: _Equations) -> dict[str, Fraction]:
@@ -120,9 +110,12 @@ def _linear_consequences(equations: _Equations) -> dict[str, Fraction]:
 
 
 def _linear_row(quotient: Quotient, names: Sequence[str]) -> Row | None:
-    """The equation ``numerator = 0`` as a row when it is linear in the unknowns with rational coefficients."""
+    """The equation ``numerator = 0`` as a row when it is linear in the unknowns with rational coefficients.
+
+    A power of a linear function, as a cubic spring leaves at rest, is zero where the function is.
+    """
     row: Row = {}
-    for exponents, coefficient in quotient.numerator.to_dict().items():
+    for exponents, coefficient in _base(quotient.numerator).to_dict().items():
         used = [k for k, e in enumerate(exponents) if e]
         if not used:
             row[CONSTANT] = coefficient
@@ -133,6 +126,14 @@ def _linear_row(quotient: Quotient, names: Sequence[str]) -> Row | None:
     return row
 
 
+def _base(numerator: fmpq_mpoly) -> fmpq_mpoly:
+    """p for a numerator that is a constant times a power of p, else the numerator."""
+    if len(numerator) > _MOST_TERMS or numerator.total_degree() < 2:
+        return numerator
+    _, factors = numerator.factor_squarefree()
+    return factors[0][0] if len(factors) == 1 else numerator
+
+
 def _verify(plant: Plant, design: Design, equations: _Equations, known: Mapping[str, Fraction]) -> Equilibrium:
     """Everything is rational: put it into all equations."""
     point = _point(plant, {name: rational(value) for name, value in known.items()})
@@ -141,9 +142,9 @@ def _verify(plant: Plant, design: Design, equations: _Equations, known: Mapping[
     if any(sign(v) in (1, -1) for v in values):
         return _not_assignable(plant, design, equations, point, values)
     if all(sign(v) == 0 for v in values):
-        outside = _outside_domain(plant, _by_name(plant, point))
-        if outside:
-            return outside
+        unfit = _outside_domain(plant, _by_name(plant, point)) or _no_neighbourhood(plant, point)
+        if unfit:
+            return unfit
         evidence = f"f(x*) + g(x*) u* = 0 exactly at {_show(plant, point)}"
         return Equilibrium(_proved(plant, point, "linear elimination over the rationals", evidence), point)
     return Equilibrium(_undecided("the residual is enclosed by balls around zero", values), None)
@@ -191,6 +192,9 @@ def _accept(
     if not all(_implied(plant, equations.expressions[i], square) for i in open_rows):
         why = f"{len(open_rows)} equations beyond the unknowns hold within balls only"
         return Equilibrium(_undecided(why, values), None, completions)
+    unfit = _no_neighbourhood(plant, point)
+    if unfit:
+        return unfit
     size = max(radius(v) for v in (*point.x, *point.u))
     evidence = f"one zero of f + g u in a ball of radius {float(size):.1e} around {_show(plant, point)}"
     return Equilibrium(_proved(plant, point, "Krawczyk test in ball arithmetic", evidence), point, completions)
@@ -438,6 +442,25 @@ def _outside_domain(plant: Plant, values: Mapping[str, Real]) -> Equilibrium | N
     return None
 
 
+def _no_neighbourhood(plant: Plant, point: Point) -> Equilibrium | None:
+    """The verdict when what is said `near x*` would have no neighbourhood to be true in, else None."""
+    for name, value in _by_name(plant, point).items():
+        lo, hi = plant.system.domain.get(name, (None, None))
+        if (lo is not None and lower(value) <= lo) or (hi is not None and upper(value) >= hi):
+            why = f"{name} = {text(value, 9)} is on the edge of the domain, beyond which the model says nothing"
+            return _unfit(why, "choose a target inside the domain, or widen the domain")
+    ((row,),) = plant.at(point, plant.system.S)
+    if not is_finite(row[0]):
+        why = "S has no certain value there: it is undefined, or a comparison in it switches just there"
+        return _unfit(why, "choose a target away from that point, or write a smooth storage")
+    return None
+
+
+def _unfit(why: str, hint: str) -> Equilibrium:
+    claim = Claim("equilibrium", Status.UNDECIDED, "at x*", "x* must have a neighbourhood in the model", why, hint)
+    return Equilibrium(claim, None)
+
+
 def _no_zero(plant: Plant, design: Design, equations: _Equations, square: _SquareSystem) -> Equilibrium:
     polished = nearest_assignable(plant, design)
     near = "" if polished is None else "; nearest assignable point found: " + _pairs(polished)
@@ -465,11 +488,39 @@ def _is_smooth_at(plant: Plant, state: Mapping[str, float]) -> bool:
 
 def _refuted(plant: Plant, design: Design, contradiction: Inconsistent) -> Equilibrium:
     """The linear equations contradict each other: measure by how much, at the target."""
+    if _contradict_each_other(plant, design):
+        asked = ", ".join(f"{c.name} = {text(rational(c.value))}" for c in design.target.conditions)
+        claim = Claim(
+            "equilibrium",
+            Status.REFUTED,
+            "at x*",
+            "linear elimination over the rationals",
+            f"the conditions of the target contradict each other, whatever the system: {asked}",
+            "take one of them out of the target",
+            {"conditions": asked},
+        )
+        return Equilibrium(claim, None)
     polished = nearest_assignable(plant, design)
-    point = _best_point(plant, design)
+    point = best_point(plant, design)
     (residual,) = plant.at(point, plant.system.xdot)
     values = [row[0] for row in residual]
     return _residual_verdict(plant, values, polished, "linear elimination over the rationals", point)
+
+
+def _contradict_each_other(plant: Plant, design: Design) -> bool:
+    """Whether the target's conditions alone, without the system's equations, have no solution."""
+    conditions = design.target.conditions
+    asked = _Equations(
+        plant,
+        (*plant.system.state_names, *plant.system.input_names),
+        ca.vertcat(*[residual_of(c) for c in conditions]),
+        tuple(c.name for c in conditions),
+    )
+    try:
+        _linear_consequences(asked)
+    except Inconsistent:
+        return True
+    return False
 
 
 def _not_assignable(
@@ -507,78 +558,6 @@ def _residual_verdict(
 
 def _pairs(values: Mapping[str, float]) -> str:
     return ", ".join(f"{k} = {v:.9g}" for k, v in values.items())
-
-
-def _best_point(plant: Plant, design: Design) -> Point:
-    """The target where it is given (zero elsewhere) with the least-squares input, as rationals."""
-    given = _target_values(design)
-    if design.target.full is not None:
-        given = dict(zip(plant.system.state_names, design.target.full, strict=True))
-    x = [given.get(name, Fraction(0)) for name in plant.system.state_names]
-    function = plant.numeric(plant.system.f, plant.system.g)
-    f, g = function([float(v) for v in x], np.zeros(plant.system.m))
-    drift, matrix = np.array(f).ravel(), np.array(ca.densify(g))
-    certain = np.all(np.isfinite(drift)) and np.all(np.isfinite(matrix))
-    u = np.linalg.lstsq(matrix, -drift, rcond=None)[0] if certain else np.zeros(plant.system.m)
-    finite = np.where(np.isfinite(u), u, 0.0)
-    return Point(tuple(rational(v) for v in x), tuple(rational(Fraction(float(v))) for v in finite))
-
-
-def nearest_assignable(plant: Plant, design: Design) -> dict[str, float] | None:
-    """The assignable point closest to the target, coordinates scaled by their size; None if not found."""
-    from scipy.optimize import minimize
-
-    system = plant.system
-    best = _best_point(plant, design)
-    z0 = np.array([approximate(v) for v in (*best.x, *best.u)])
-    n = system.n
-    scale = np.maximum(np.abs(z0[:n]), 0.1 * max(float(np.max(np.abs(z0[:n]))), 1e-3))
-    function = plant.numeric(system.xdot, ca.jacobian(system.xdot, ca.vertcat(system.x, system.u)))
-
-    def residual(z: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.array(function(z[:n], z[n:])[0]).ravel()
-
-    def slope(z: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.array(ca.densify(function(z[:n], z[n:])[1]))
-
-    def distance(z: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        offset = (z[:n] - z0[:n]) / scale
-        return float(offset @ offset), np.concatenate([2 * offset / scale, np.zeros(system.m)])
-
-    constraint = {"type": "eq", "fun": residual, "jac": slope}
-    with np.errstate(all="ignore"):
-        found = minimize(
-            distance, z0, jac=True, method="SLSQP", constraints=[constraint], options={"maxiter": 200, "ftol": 1e-14}
-        )
-    size = max(float(np.max(np.abs(found.x))), 1e-300)
-    if not np.all(np.isfinite(found.x)) or np.max(np.abs(residual(found.x))) > 1e-6 * (1 + size):
-        return None
-    x = np.where(np.abs(found.x[:n]) > 1e-9 * np.max(np.abs(found.x[:n])), found.x[:n], 0.0)
-    return dict(zip(system.state_names, (float(v) for v in x), strict=True))
-
-
-def assignable_set(plant: Plant) -> list[str]:
-    """The equations ``g_perp(x) f(x) = 0`` of the assignable equilibria, as text in the parameters' names.
-
-    g_perp is a basis of the left annihilator of g over the rational functions. Empty when f or g is not analytic.
-    """
-    system = plant.system
-    try:
-        field, (f, g) = plant.exact(system.f, system.g, symbolic=True)
-    except (UnsupportedOperation, ZeroDivisionError):
-        return []
-    zero = field.const(0)
-    drift, rows = f.column(zero), g.dense(zero)
-    solved = reduce_rows([{i: rows[i][j] for i in range(system.n)} for j in range(system.m)])
-    equations = []
-    for free in (k for k in range(system.n) if k not in solved):
-        total = drift[free]
-        for pivot, row in solved.items():
-            if free in row:
-                total = total - row[free] * drift[int(str(pivot))]
-        if not total.is_zero():
-            equations.append(f"{formula(field.polynomial(total.numerator), plant.parameter_positions())} = 0")
-    return equations
 
 
 def input_rank(plant: Plant, point: Point) -> Claim:

@@ -224,6 +224,9 @@ def find(
                 obstacles.append(candidate)
                 tried.append(f"{candidate.strategy}: not integrable")
                 continue
+            if _is_constant(plant, candidate.gamma):
+                tried.append(f"{candidate.strategy}: only a constant gamma, which feeds nothing back")
+                continue
             method = prove(plant, structure, candidate.gamma, storage_proved, structure_proved, where)
             if method is not None:
                 claim = _proved(candidate, method, where, _forced(plant, point))
@@ -236,6 +239,15 @@ def find(
         claim = _refuted_gamma(plant, unproved[0], where) or _unproved(unproved[0], storage_proved, where)
         return PassiveOutput(unproved[0].gamma, unproved[0].strategy, claim, False)
     return _impossible(plant, obstruction(plant)) or _none(plant, tried, obstacles, _forced(plant, point))
+
+
+def _is_constant(plant: Plant, gamma: ca.SX) -> bool:
+    """Whether no state moves gamma: the controller would hold every input where it is and be no feedback at all."""
+    try:
+        field, (slope,) = plant.exact(ca.jacobian(gamma, plant.system.x))
+    except (UnsupportedOperation, ZeroDivisionError):
+        return False
+    return all(entry.is_zero() for row in slope.dense(field.const(0)) for entry in row)
 
 
 def _forced(plant: Plant, point: Point | None) -> str:
@@ -444,7 +456,8 @@ def _impossible(plant: Plant, found: Obstruction | None) -> Claim | None:
 
 def _none(plant: Plant, tried: list[str], obstacles: list[_Obstacle], forced: str) -> Claim:
     evidence = "no gamma found; tried " + ("; ".join(tried) if tried else "every strategy")
-    hint = "give gamma=... with the model, or measure and use another output"
+    given = plant.system.gamma is not None
+    hint = "leave gamma out to have it derived" if given else "give gamma=... with the model, or use another input"
     if obstacles:
         first = obstacles[0]
         names = plant.system.state_names

@@ -129,8 +129,57 @@ def test_a_target_that_leaves_a_family_of_equilibria_is_left_open():
 
 def test_a_double_zero_is_not_enclosed_and_not_proved():
     """y = x^2 with y = 0 has the double zero x = 0, where Newton's method is singular."""
-    found = _complete(_plane(lambda x, y: [y - x**2, -x - y]), {"y": 0})
+    found = _complete(_plane(lambda x, y: [ca.cosh(x) - 1 - y, -x - y]), {"y": 0})
     assert found.claim.status is Status.UNDECIDED
+
+
+@pytest.mark.parametrize("power", [2, 3, 7])
+def test_a_power_of_a_linear_function_is_zero_where_the_function_is(power):
+    """(x - y)^k = 0 means x = y, which Newton's method cannot show."""
+    found = _complete(_plane(lambda x, y: [(x - y) ** power, -x - y]), {"y": "0.3"})
+    assert found.claim.status is Status.PROVED
+    assert [str(v) for v in found.point.x] == ["3/10", "3/10"]
+
+
+def test_a_product_of_different_factors_has_several_zeros():
+    found = _complete(_plane(lambda x, y: [(x - y) ** 2 * (x + 1) ** 3, -x - y]), {"y": "0.3"})
+    assert found.claim.status is Status.UNDECIDED
+
+
+@pytest.mark.parametrize(("bounds", "status"), [((0, 1), "UNDECIDED"), ((-1, 0), "UNDECIDED"), ((-1, 1), "PROVED")])
+def test_a_target_on_the_edge_of_the_domain_has_no_neighbourhood(bounds, status):
+    found = _complete(_plane(lambda x, y: [y - x, -x - y], domain={"x": bounds}), {"y": 0})
+    assert found.claim.status.name == status
+
+
+@pytest.mark.parametrize(("switch", "status"), [(0, "UNDECIDED"), (1, "PROVED")])
+def test_a_storage_that_switches_at_the_target_is_no_storage_there(switch, status):
+    x, y, u = (ca.SX.sym(name) for name in ("x", "y", "u"))
+    S = x**2 / 2 + y**2 / 2 + ca.if_else(x > switch, 5, 0)
+    found = _complete(AffineSystem([x, y], [u], [y - x, -x - y], [0, 1], S), {"y": 0})
+    assert found.claim.status.name == status
+
+
+def test_conditions_that_contradict_each_other_are_named():
+    system = _plane(lambda x, y: [y - x, -x - y])
+    found = _complete(system, {"y": 5, "twice": (2 * system.x[1], 11)})
+    assert found.claim.status is Status.REFUTED
+    assert "contradict each other" in found.claim.evidence
+    assert "y = 5, twice = 11" in found.claim.evidence
+
+
+def test_the_nearest_assignable_point_moves_only_what_the_target_names():
+    """50 q1 - 80 q2 + 30 q3 = 0 at rest: the multiplier of the relative least-squares problem is 2/362."""
+    x, u = [ca.SX.sym(name) for name in "abcd"], ca.SX.sym("u")
+    f = [x[3], 50 * x[0] - 80 * x[1] + 30 * x[2], 0, -x[3]]
+    system = AffineSystem(x, [u], f, [0, 0, 0, 1], ca.sumsqr(ca.vertcat(*x)))
+    found = _complete(system, {"a": "0.1", "b": "0.2", "c": "0.3"})
+    nearest = found.claim.counterexample["nearest"]
+    scales, normal = (0.1, 0.2, 0.3), (50, -80, 30)
+    gap = sum(n * v for n, v in zip(normal, (0.1, 0.2, 0.3), strict=True))
+    size = sum((n * s) ** 2 for n, s in zip(normal, scales, strict=True))
+    expected = [v - gap / size * n * s * s for v, n, s in zip((0.1, 0.2, 0.3), normal, scales, strict=True)]
+    assert [nearest[k] for k in "abc"] == pytest.approx(expected, rel=1e-5)
 
 
 def test_an_equilibrium_that_does_not_exist_is_not_proved():

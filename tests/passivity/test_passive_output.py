@@ -60,6 +60,15 @@ def test_a_given_gamma_with_a_wrong_factor_is_not_proved(factor):
     assert "leave gamma out" in (found.claim if isinstance(found, PassiveOutput) else found).hint
 
 
+def test_a_gamma_that_feeds_nothing_back_is_no_output():
+    """The averaged boost converter with its energy: only gamma = const satisfies the linear conditions."""
+    i, v, w = (ca.SX.sym(name) for name in ("i", "v", "w"))
+    system = AffineSystem([i, v], [w], [12 - i, -v], [-v, i], i**2 / 2 + v**2 / 2)
+    found = _find(system)
+    assert not isinstance(found, PassiveOutput)
+    assert "feeds nothing back" in found.evidence
+
+
 def test_a_given_gamma_may_have_a_constant():
     system = _oscillator()
     shifted = AffineSystem(system.x, system.u, system.f, system.g, system.S, gamma=[system.x[0] + 7])
