@@ -23,8 +23,8 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.identity import canonical_text, model_hash
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.models.laws import gains as gains_of
+from pbcgen.passivity.assignable import greedy_rows
 from pbcgen.passivity.dissipation import constant_part
-from pbcgen.passivity.equilibrium import greedy_rows
 from pbcgen.passivity.plant import Plant, Point, columns, dot
 from pbcgen.passivity.shaping import diagonal, exact_matrix, extended_hessian, shape_at
 from pbcgen.passivity.structure import PowerStructure

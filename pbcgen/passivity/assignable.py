@@ -51,6 +51,25 @@ def best_point(plant: Plant, design: Design) -> Point:
     return Point(tuple(rational(v) for v in x), tuple(rational(Fraction(float(v))) for v in finite))
 
 
+def greedy_rows(matrix: NDArray[np.float64]) -> list[int]:
+    """Row indices that raise the rank, by Gram-Schmidt on rows of unit length."""
+    basis: list[NDArray[np.float64]] = []
+    chosen = []
+    for i, row in enumerate(matrix):
+        length = np.linalg.norm(row)
+        if not np.isfinite(length) or length == 0:
+            continue
+        rest = row / length
+        for b in basis:
+            rest = rest - b * (b @ rest)
+        for b in basis:
+            rest = rest - b * (b @ rest)
+        if np.linalg.norm(rest) > 1e-9:
+            basis.append(rest / np.linalg.norm(rest))
+            chosen.append(i)
+    return chosen
+
+
 def nearest_assignable(plant: Plant, design: Design) -> dict[str, float] | None:
     """The assignable point closest to the target, by state name; None if none was found.
 
@@ -76,7 +95,8 @@ def nearest_assignable(plant: Plant, design: Design) -> dict[str, float] | None:
     def entries(z: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         return [np.array(ca.densify(v)) for v in function(z[:n], z[n:])]
 
-    constraint = {"type": "eq", "fun": lambda z: entries(z)[0].ravel(), "jac": lambda z: entries(z)[1]}
+    rows = greedy_rows(entries(z0)[1])  # SLSQP cannot have dependent constraints
+    constraint = {"type": "eq", "fun": lambda z: entries(z)[0].ravel()[rows], "jac": lambda z: entries(z)[1][rows]}
     generator = np.random.default_rng(0)
     found: list[tuple[float, NDArray[np.float64]]] = []
     for k in range(_STARTS):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Design
-from pbcgen.passivity.assignable import best_point, nearest_assignable, residual_of, target_values
+from pbcgen.passivity.assignable import best_point, greedy_rows, nearest_assignable, residual_of, target_values
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
@@ -323,25 +323,6 @@ def _independent_rows(
         if len(rows) > len(best):
             best = rows
     return best
-
-
-def greedy_rows(matrix: NDArray[np.float64]) -> list[int]:
-    """Row indices that raise the rank, by Gram-Schmidt on rows of unit length."""
-    basis: list[NDArray[np.float64]] = []
-    chosen = []
-    for i, row in enumerate(matrix):
-        length = np.linalg.norm(row)
-        if not np.isfinite(length) or length == 0:
-            continue
-        rest = row / length
-        for b in basis:
-            rest = rest - b * (b @ rest)
-        for b in basis:
-            rest = rest - b * (b @ rest)
-        if np.linalg.norm(rest) > 1e-9:
-            basis.append(rest / np.linalg.norm(rest))
-            chosen.append(i)
-    return chosen
 
 
 # --- verdicts ---------------------------------------------------------------------------------------------------
