@@ -4,11 +4,38 @@ Every message names what the user wrote, says what is wrong with it and what to 
 without a traceback and exits with :attr:`PbcgenError.exit_code`.
 """
 
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Place:
+    """A line of the user's file: its path, its number from 1, and what it says."""
+
+    file: str
+    line: int
+    text: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}"
+
 
 class PbcgenError(Exception):
-    """Base class of all errors that pbcgen raises on purpose."""
+    """Base class of all errors that pbcgen raises on purpose.
+
+    Attributes:
+        message: what is wrong and what to do, without the place.
+        place: the line of the user's file that it is about, where it is known.
+    """
 
     exit_code = 1
+
+    def __init__(self, message: str = "", place: Place | None = None) -> None:
+        super().__init__(message)
+        self.message = message
+        self.place = place
+
+    def __str__(self) -> str:
+        return self.message if self.place is None else f"{self.place}: {self.message}"
 
 
 class ModelError(PbcgenError):

@@ -27,6 +27,7 @@ from pbcgen.emit import Package, Provenance, render
 from pbcgen.errors import ModelError, NotProved
 from pbcgen.models.design import Design
 from pbcgen.models.identity import model_hash
+from pbcgen.models.source import located
 from pbcgen.proof.claim import EMISSION_CLAIMS, Claim, Status
 
 if TYPE_CHECKING:
@@ -120,7 +121,10 @@ class Simulation:
 def check(design: Design, progress: Progress = None, sampling: Sampling | None = None) -> Report:
     """Derive and decide everything that can be said of the design. Raises ModelError for an inconsistent model."""
     start = perf_counter()
-    derivation = derive(design, progress, sampling)
+    try:
+        derivation = derive(design, progress, sampling)
+    except ModelError as error:
+        raise located(error, design.call, design.system.call) from error.__cause__
     timings = {**derivation.timings, "total": perf_counter() - start}
     return Report(
         design,

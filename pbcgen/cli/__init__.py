@@ -60,7 +60,7 @@ def execute(arguments: Sequence[str]) -> int:
             result = application()(args=list(arguments), prog_name="pbcgen", standalone_mode=False)
     except Exception as error:
         message, code = _explanation(error)
-        terminal.print_error(message)
+        terminal.print_error(message, error.place if isinstance(error, PbcgenError) else None)
         if as_json:
             terminal.print_document({"error": message, "exit_code": code})
         return code

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from pbcgen.cli.outcome import Outcome
+    from pbcgen.errors import Place
 
 #: Text is set no wider than this, for the sake of its readers.
 WIDEST = 100
@@ -56,11 +57,14 @@ def print_document(document: Mapping[str, Any]) -> None:
     print(json.dumps(_plain(document), indent=2, allow_nan=False))
 
 
-def print_error(message: str) -> None:
-    """Print the message of an error to standard error."""
+def print_error(message: str, place: Place | None = None) -> None:
+    """Print the message of an error to standard error, and below it the line of the user's file that it is about."""
     target = console(stderr=True)
     target.print("Error:", style="bold red", end=" ")
     target.print(message, soft_wrap=True)
+    if place is not None and place.text:
+        target.print(f"{place.line:>6} | ", style="dim", end="")
+        target.print(place.text, style="cyan", soft_wrap=True)
 
 
 def console(*, stderr: bool = False) -> Console:

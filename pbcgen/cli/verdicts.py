@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,17 +13,37 @@ from rich.table import Table
 from rich.text import Text
 
 from pbcgen.models.exact import decimal
-from pbcgen.proof.claim import Claim, Status
+from pbcgen.models.source import deciding_line
+from pbcgen.proof.claim import NOT_REACHED, Claim, Status
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from pbcgen.errors import Place
     from pbcgen.pipeline import Report
 
 _STYLES = {Status.PROVED: "green", Status.REFUTED: "bold red", Status.UNDECIDED: "bold yellow"}
 
 #: Room for the longest claim; the domain stands behind it.
 _CLAIM_WIDTH = 30
+
+#: The user's line below a hint is no longer than this.
+_LINE_WIDTH = 66
+
+#: Hints that send the reader to another claim.
+_ELSEWHERE = ("mend", "satisfy")
+
+#: What it means that a claim is UNDECIDED, or REFUTED.
+_WITHOUT = {
+    "equilibrium": ("no rest point for the target was found", "no input holds the system at the target"),
+    "measurability": ("the law may need what is not measured", "the law needs what is not measured"),
+    "saturation": ("the inputs may leave their limits", "the inputs can leave their limits"),
+    "asymptotically-stable": ("it is open whether the loop settles at x*", "the loop does not settle at x*"),
+    "sampled-stable": (
+        "it is open whether the sampled loop settles",
+        "the loop does not settle at this sample period",
+    ),
+}
 
 #: A line of x* is no longer than this, so that it stands beside its name on 80 columns.
 _POINT_WIDTH = 50
@@ -46,38 +67,63 @@ def show_report(console: Console, report: Report, model: str) -> None:
     """Print the report; ``model`` is how the user called it."""
     console.print(f"{report.design.name}: law {report.design.law.name}, h = {_seconds(report)}", style="bold")
     console.print()
-    console.print(verdict_table(report.claims))
+    console.print(verdict_table(report))
     console.print()
-    console.print(derived_table(report))
-    console.print()
+    if any(True for _ in _derived(report)):
+        console.print(derived_table(report))
+        console.print()
     console.print(meaning(report), style="bold green" if report.emittable else "bold red")
     for line in next_steps(report, shlex.quote(model)):
         console.print(line, soft_wrap=True)
 
 
-def verdict_table(claims: Iterable[Claim]) -> Table:
-    """One row for each claim: its verdict, then name and domain with method and evidence below, and a hint.
+def verdict_table(report: Report) -> Table:
+    """Rows of a verdict, the claims that have it with their domains, method and evidence, a hint, and the user's line.
 
-    A hint that several claims share is given once.
+    Claims that were decided alike share a row. A hint that several rows share is given once. What was not reached
+    stands at the end.
     """
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold", expand=False)
     table.add_column("verdict", no_wrap=True)
     table.add_column(f"{'claim':{_CLAIM_WIDTH}}  where it holds, and why")
     given: set[str] = {""}
-    for claim in claims:
-        hint = "" if claim.status is Status.PROVED or claim.hint in given else claim.hint
-        given.add(hint)
-        table.add_row(Text(str(claim.status), _STYLES[claim.status]), _description(claim, hint))
+    for claims in _decided_alike(report.claims):
+        first = claims[0]
+        hints = dict.fromkeys(c.hint for c in claims if c.status is not Status.PROVED and c.hint not in given)
+        given.update(hints)
+        own = any(not hint.startswith(_ELSEWHERE) for hint in hints)
+        place = deciding_line(first.claim, report.design.call, report.design.system.call) if own else None
+        table.add_row(Text(str(first.status), _STYLES[first.status]), _description(claims, hints, place))
     return table
 
 
-def _description(claim: Claim, hint: str) -> Text:
-    text = Text()
-    text.append(f"{claim.claim:{_CLAIM_WIDTH}}", "bold")
-    text.append(f"  {claim.domain}\n")
-    text.append(": ".join(part for part in (claim.method, claim.evidence) if part), "dim")
-    if hint:
+def _decided_alike(claims: Sequence[Claim]) -> list[list[Claim]]:
+    """The claims in their order, those that were not reached last; together where method and evidence are the same."""
+    rows: dict[tuple[str, ...], list[Claim]] = {}
+    for claim in sorted(claims, key=not_reached):
+        rows.setdefault((str(claim.status), claim.method, claim.evidence), []).append(claim)
+    return list(rows.values())
+
+
+def not_reached(claim: Claim) -> bool:
+    """Whether an earlier claim kept this one from being looked at."""
+    return claim.method == NOT_REACHED
+
+
+def _description(claims: Sequence[Claim], hints: Iterable[str], place: Place | None) -> Text:
+    first, text = claims[0], Text()
+    if not_reached(first) and len(claims) > 1:
+        text.append(f"{', '.join(c.claim for c in claims)}\n", "bold")
+    else:
+        for claim in claims:
+            text.append(f"{claim.claim:{_CLAIM_WIDTH}}", "bold")
+            text.append(f"  {claim.domain}\n")
+    text.append(": ".join(part for part in (first.method, first.evidence) if part), "dim")
+    for hint in hints:
         text.append(f"\nhint: {hint}", "yellow")
+    if place is not None:
+        shown = f"{place}: {re.sub(r' +#.*', '', place.text)}"
+        text.append(f"\n{textwrap.shorten(shown, _LINE_WIDTH, placeholder=' ...')}", "cyan")
     return text
 
 
@@ -131,7 +177,11 @@ def meaning(report: Report) -> str:
     if not blocking:
         return "No code: the derivation stopped before it had a controller."
     refuted = [c for c in blocking if c.status is Status.REFUTED]
-    return f"No code: {' and '.join(f'{c.claim} is {c.status}' for c in refuted or blocking)}."
+    shown = refuted or [c for c in blocking if not not_reached(c)] or blocking
+    if any(c.claim == "asymptotically-stable" for c in shown):  # then the sampled loop does not settle either
+        shown = [c for c in shown if c.claim != "sampled-stable"]
+    reasons = (f"{_WITHOUT[c.claim][c.status is Status.REFUTED]} ({c.claim} {c.status})" for c in shown)
+    return f"No code: {'; '.join(reasons)}."
 
 
 def _proved(report: Report) -> set[str]:

@@ -269,7 +269,7 @@ def _by_storage(situation: Situation, by_lyapunov: bool) -> Claim:
             Status.UNDECIDED,
             "radial unboundedness",
             growth.reason,
-            "raise alpha above |kappa|, or rely on the local claim",
+            _to_grow(situation),
         )
     unique = _only_rest(situation)
     if unique is None:
@@ -329,6 +329,14 @@ def _growth(situation: Situation) -> Growth:
     alpha, _, _ = situation.gains
     kappa = [-u for u in situation.point.u]
     return radially_unbounded(situation.plant, situation.gamma, alpha, kappa, situation.compensation is not None)
+
+
+def _to_grow(situation: Situation) -> str:
+    """What would make the storage radially unbounded, as far as that is known."""
+    alpha, _, _ = situation.gains
+    weak = [a for a, u in zip(alpha, situation.point.u, strict=True) if a <= abs(approximate(u))]
+    rely = "rely on the local claim; `pbcgen region` finds states from where the loop certainly settles"
+    return f"raise alpha above |kappa|, or {rely}" if weak and situation.compensation is None else rely
 
 
 def _only_rest(situation: Situation) -> str | None:

@@ -40,7 +40,7 @@ from pbcgen.passivity.shaping import (
 )
 from pbcgen.passivity.storage import Storage, assumption_1
 from pbcgen.passivity.structure import PowerStructure
-from pbcgen.proof.claim import CLAIMS, Claim, Status
+from pbcgen.proof.claim import CLAIMS, NOT_REACHED, Claim, Status
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.real import approximate
 
@@ -122,7 +122,7 @@ class _Stages:
             self.claims[claim.claim] = claim
 
     def open(self, name: str, why: str, hint: str) -> None:
-        self.claims.setdefault(name, Claim(name, Status.UNDECIDED, "at x*", "not reached", why, hint))
+        self.claims.setdefault(name, Claim(name, Status.UNDECIDED, "at x*", NOT_REACHED, why, hint))
 
 
 def derive(design: Design, progress: Progress = None, sampling: Sampling | None = None) -> Derivation:
@@ -372,7 +372,7 @@ class _AtTarget:
                 "all x",
                 "exact linear algebra",
                 "no eta was found, so there is nothing to measure",
-                "give eta=... with the model",
+                "mend assumption-3 first, or give eta=... with the model",
             )
         if not read.missing:
             return Claim(
@@ -384,7 +384,12 @@ class _AtTarget:
             )
         first = read.missing[0]
         status = Status.REFUTED if first.direction else Status.UNDECIDED
-        hint = f"measure what {first.signal} depends on, or use a law that does not need it"
+        missing = ", ".join(f'"{name}"' for name in first.hidden)
+        hint = (
+            f"declare {missing} in `measured` if there is a sensor"
+            if missing
+            else f"measure what {first.signal} depends on"
+        ) + ", or use a law that does not need it"
         counterexample = {"signal": first.signal, "direction": first.direction} if first.direction else None
         return Claim("measurability", status, "all x", "exact identities", first.reason, hint, counterexample)
 

@@ -40,11 +40,19 @@ class Reading:
 
 @dataclass(frozen=True)
 class Unreadable:
-    """Why a signal cannot be read, with a direction v that the sensors do not see but the signal does, if certain."""
+    """Why a signal cannot be read.
+
+    Attributes:
+        signal: its name.
+        reason: for the evidence of a verdict.
+        direction: v that the sensors do not see but the signal does, if certain.
+        hidden: the states that it depends on and that no sensor reads.
+    """
 
     signal: str
     reason: str
     direction: dict[str, str] | None
+    hidden: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +192,7 @@ class Measurement:
     def _unreadable(self, signal: ca.SX, name: str) -> Unreadable:
         hidden = [s for s in _states_of(self.plant, signal) if s not in self._direct()]
         reason = f"{name} depends on {', '.join(hidden)}, which the measured signals do not give"
-        return Unreadable(name, reason, self._blind_direction(signal))
+        return Unreadable(name, reason, self._blind_direction(signal), tuple(hidden))
 
     def _blind_direction(self, signal: ca.SX) -> dict[str, str] | None:
         """v with ``grad h v = 0`` for every measured h and ``grad e v != 0`` at x*, in exact or ball arithmetic."""

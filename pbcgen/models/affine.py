@@ -17,6 +17,7 @@ from pbcgen.models.expressions import (
     check_literals,
     check_symbols,
     column,
+    depends,
     entries,
     names,
     shaped,
@@ -25,6 +26,7 @@ from pbcgen.models.expressions import (
     unique,
 )
 from pbcgen.models.parameters import Parameters
+from pbcgen.models.source import Call, users_call
 
 #: Exact bounds of a quantity; None is unbounded.
 Interval = tuple[Fraction | None, Fraction | None]
@@ -121,6 +123,7 @@ class AffineSystem:
         units: units by name of state, input or measured signal.
         name: how reports call the system.
         structure: what a front end knows about f and grad S.
+        call: where the user made it, if in a file.
     """
 
     x: ca.SX
@@ -136,6 +139,7 @@ class AffineSystem:
     units: Mapping[str, str]
     name: str
     structure: Structure | None
+    call: Call | None
 
     def __init__(
         self,
@@ -193,6 +197,11 @@ class AffineSystem:
         extra = [key for key in signals if key not in names(x)]
         unique([*names(x), *names(u), *extra, *parameters.names])
         check_literals([storage, drift, matrix])
+        if not depends(storage, x):
+            raise ModelError(
+                "the storage S does not depend on the state: give the energy, or another function that does not grow "
+                "by itself"
+            )
         fields = {
             "x": x,
             "u": u,
@@ -207,6 +216,7 @@ class AffineSystem:
             "units": MappingProxyType(_units(units or {}, [*names(x), *names(u), *extra])),
             "name": name,
             "structure": structure,
+            "call": users_call(),
         }
         for key, value in fields.items():
             object.__setattr__(self, key, value)

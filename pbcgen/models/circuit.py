@@ -14,6 +14,7 @@ from pbcgen.models.expressions import (
     check_symbols,
     depends,
     expression,
+    never_positive_definite,
     shaped,
     square,
     symbols,
@@ -144,6 +145,8 @@ def _storage(value: Any, variables: ca.SX, what: str, parameters: Parameters) ->
         raise ModelError(f"{what} is singular: its nonzero entries leave a row without partner")
     if not _symmetric(matrix, variables, parameters):
         raise ModelError(f"{what} is not symmetric")
+    if never_positive_definite(matrix, variables, parameters.symbols, parameters.numeric):
+        raise ModelError(f"{what} is not positive definite: look for a negative value, or a coupling that is too large")
     return matrix
 
 

@@ -15,6 +15,7 @@ from pbcgen.models.exact import Number, exact, positive
 from pbcgen.models.expressions import check_finite, check_symbols, depends, entries, shaped, suggestion
 from pbcgen.models.laws import Integral, Law, PotentialCompensation
 from pbcgen.models.limits import InputSet, Limits
+from pbcgen.models.source import Call, called_by_user, users_call
 
 if TYPE_CHECKING:
     from pbcgen.models.affine import AffineSystem
@@ -74,6 +75,7 @@ class Design:
         initial: x(0) of simulations, n values.
         duration: length of simulations in seconds.
         description: a sentence for reports.
+        call: where the user made it, if in a file.
     """
 
     model: Model
@@ -88,6 +90,7 @@ class Design:
     initial: tuple[Fraction, ...]
     duration: Fraction
     description: str
+    call: Call | None
 
     def __init__(
         self,
@@ -142,6 +145,7 @@ class Design:
             "initial": _initial(initial, lowered),
             "duration": positive(duration, "the duration"),
             "description": description,
+            "call": users_call(),
         }
         for key, value in values.items():
             object.__setattr__(self, key, value)
@@ -169,7 +173,10 @@ class Design:
         for name in changes:
             if name not in arguments:
                 raise ModelError(f"a design has no `{name}`: {suggestion(name, arguments)}")
-        return Design(**{**arguments, **changes})
+        changed = Design(**{**arguments, **changes})
+        if not called_by_user():
+            object.__setattr__(changed, "call", self.call)
+        return changed
 
 
 def _check_law(law: object, system: AffineSystem) -> None:

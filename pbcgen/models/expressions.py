@@ -34,6 +34,11 @@ def expression(value: Any, what: str) -> ca.SX:
         raise ModelError(f"{what} is missing")
     if isinstance(value, list | tuple):
         return _stacked(value, what)
+    if isinstance(value, str):
+        raise ModelError(
+            f"{what} contains the text '{value}': give an expression or a number; for an exact decimal declare "
+            f"Parameters(name='{value}')"
+        )
     try:
         return ca.SX(value)
     except (NotImplementedError, TypeError, RuntimeError):
@@ -196,13 +201,27 @@ def vanishes_at_samples(
     This is evidence, never proof. Points where the value is not finite are skipped.
     """
     function = ca.Function("f", [variables, parameters], [ca.densify(value), scale])
-    generator = np.random.default_rng(20240229)
-    for _ in range(5):
-        entries_there, scale_there = function(generator.uniform(-1, 1, variables.numel()), numeric)
+    for point in _samples(variables.numel()):
+        entries_there, scale_there = function(point, numeric)
         worst = np.abs(np.asarray(entries_there, dtype=float)).max(initial=0.0)
         if np.isfinite(worst) and worst > 1e-9 * float(scale_there):
             return False
     return True
+
+
+def never_positive_definite(matrix: ca.SX, variables: ca.SX, parameters: ca.SX, numeric: NDArray[np.float64]) -> bool:
+    """Whether a symmetric matrix has an eigenvalue that is not positive at every one of fixed pseudo-random points."""
+    if matrix.numel() == 0:
+        return False
+    function = ca.Function("f", [variables, parameters], [ca.densify(matrix)])
+    values = [np.asarray(function(point, numeric), dtype=float) for point in _samples(variables.numel())]
+    known = [value for value in values if np.isfinite(value).all()]
+    return bool(known) and all(np.linalg.eigvalsh(value).min() <= 0 for value in known)
+
+
+def _samples(size: int) -> list[NDArray[np.float64]]:
+    generator = np.random.default_rng(20240229)
+    return [generator.uniform(-1, 1, size) for _ in range(5)]
 
 
 def suggestion(name: object, known: Iterable[str]) -> str:

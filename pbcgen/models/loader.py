@@ -6,15 +6,15 @@ import contextlib
 import os
 import sys
 import tokenize
-import traceback
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from pbcgen.errors import ModelError
+from pbcgen.errors import ModelError, PbcgenError, Place
 from pbcgen.models.design import Design
 from pbcgen.models.expressions import suggestion
+from pbcgen.models.source import failing_call, located
 
 #: Where the built-in models are. They are loaded like a user's files.
 BUILT_IN_DIRECTORY = Path(__file__).resolve().parent.parent / "examples"
@@ -73,7 +73,7 @@ def _execute(path: Path) -> dict[str, Any]:
                 source = stream.read()
             exec(compile(source, module.__file__, "exec", dont_inherit=True), module.__dict__)
         except (Exception, SystemExit) as error:
-            raise ModelError(_explanation(error, path)) from error
+            raise _explained(error, path) from error
     return module.__dict__
 
 
@@ -95,25 +95,20 @@ def _importing_from(directory: Path, module: ModuleType) -> Iterator[None]:
                 del sys.modules[name]
 
 
-def _explanation(error: BaseException, path: Path) -> str:
-    """One sentence with file and line."""
-    if isinstance(error, SyntaxError):
-        return f"{path}:{error.lineno or 1}: {error.msg}"
-    if isinstance(error, UnicodeDecodeError | OSError) and not _lines_in(error, path):
-        return f"{path}: the file cannot be read: {error}"
-    where = "".join(f"{path}:{line}: " for line in _lines_in(error, path)[-1:]) or f"{path}: "
+def _explained(error: BaseException, path: Path) -> PbcgenError:
+    """The error in one sentence, with file and line."""
+    if isinstance(error, SyntaxError) and Path(error.filename or path).resolve() == path.resolve():
+        return ModelError(error.msg, Place(str(path), error.lineno or 1, (error.text or "").strip()))
+    call = failing_call(error.__traceback__, path)
+    if isinstance(error, PbcgenError):
+        return located(error, call)
+    if call is None:
+        return ModelError(f"{path}: the file cannot be read: {error}")
     if isinstance(error, SystemExit):
-        return f"{where}the file ends the program (SystemExit): a model file only defines designs"
-    if isinstance(error, ModelError):
-        return f"{where}{error}"
-    lines = str(error).strip().splitlines()
-    return f"{where}{type(error).__name__}: {lines[-1].strip() if lines else 'no message'}"
-
-
-def _lines_in(error: BaseException, path: Path) -> list[int]:
-    """The lines of the file that were being executed, outermost first."""
-    frames = traceback.extract_tb(error.__traceback__)
-    return [frame.lineno for frame in frames if frame.filename == str(path.resolve()) and frame.lineno]
+        message = "the file ends the program (SystemExit): a model file only defines designs"
+        return ModelError(message, call.place())
+    last = (str(error).strip().splitlines() or ["no message"])[-1].strip()
+    return ModelError(f"{type(error).__name__}: {last}", call.named_in(last))
 
 
 def _choose(variables: Mapping[str, Any], path: Path, wanted: str | None) -> Design:

@@ -15,6 +15,7 @@ from pbcgen.models.expressions import (
     depends,
     expression,
     names,
+    never_positive_definite,
     shaped,
     square,
     symbols,
@@ -231,7 +232,7 @@ def _check_diagonal(D: ca.SX) -> None:
 
 
 def _check_inertia(M: ca.SX, M_inv: ca.SX, q: ca.SX, parameters: Parameters) -> None:
-    """Symmetry and M M^-1 = I, at sample points: a guard against slips, the proof is made elsewhere."""
+    """Symmetry, M M^-1 = I and M > 0 somewhere, at sample points: a guard against slips, proofs are made elsewhere."""
     where = (q, parameters.symbols, parameters.numeric)
     for value, what in ((M, "the inertia matrix M"), (M_inv, "the inverse inertia matrix M_inv")):
         if not vanishes_at_samples(value - value.T, ca.norm_fro(value), *where):
@@ -239,6 +240,11 @@ def _check_inertia(M: ca.SX, M_inv: ca.SX, q: ca.SX, parameters: Parameters) -> 
     scale = ca.norm_fro(M) * ca.norm_fro(M_inv)
     if not vanishes_at_samples(ca.mtimes(M, M_inv) - ca.SX.eye(M.shape[0]), scale, *where):
         raise ModelError("M and M_inv are not inverse to each other")
+    if never_positive_definite(M, *where):
+        raise ModelError(
+            "the inertia matrix M is not positive definite: look for a negative mass or inertia, or a coupling that is "
+            "larger than the inertias it couples"
+        )
 
 
 def _inertia_of(T: ca.SX, qdot: ca.SX) -> ca.SX:

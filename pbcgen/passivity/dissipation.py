@@ -9,7 +9,7 @@ lie in the range of B0 and ``diag(Lambda_l, Lambda_c)^{-1} >= W = C B0^+ C^T``, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import casadi as ca
@@ -84,7 +84,7 @@ def assumption_3(
     limit = plant.system.n - plant.system.m
     chosen = chosen[:limit]
     if not chosen:
-        return NaturalDampingBounds(None, (), None, None, _undecided("no coordinate with constant natural damping"))
+        return NaturalDampingBounds(None, (), None, None, _no_damped_coordinate(plant))
     signal_rows = [rows.signals[k] or [] for k in chosen]
     W = _compliance(rows.B0, [*signal_rows, *rows.y])
     bounds = [_row_sum_inverse(row) for row in W]
@@ -234,6 +234,16 @@ def _undecided(why: str) -> Claim:
         "exact compliance of the dissipation",
         why,
         "model the friction of the coordinate that shall be damped, and of the output port",
+    )
+
+
+def _no_damped_coordinate(plant: Plant) -> Claim:
+    mechanics = plant.system.mechanical
+    if mechanics is None or plant.system.m < mechanics.q.numel():
+        return _undecided("no coordinate with constant natural damping")
+    return replace(
+        _undecided("every coordinate has an actuator, so none is left that only nature damps"),
+        hint="use DynamicExtension, which damps what the actuators reach; or give eta=... with the model",
     )
 
 

@@ -20,6 +20,7 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Design
 from pbcgen.passivity.assignable import best_point, greedy_rows, nearest_assignable, residual_of, target_values
 from pbcgen.passivity.plant import Plant, Point
+from pbcgen.passivity.smooth import smooth_forms
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
 from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
@@ -83,8 +84,8 @@ def complete(plant: Plant, design: Design) -> Equilibrium:
     equations = _Equations.of(plant, design)
     try:
         known = _linear_consequences(equations)
-    except Inconsistent as contradiction:
-        return _refuted(plant, design, contradiction)
+    except Inconsistent:
+        return _refuted(plant, design)
     except (UnsupportedOperation, ZeroDivisionError):
         known = target_values(design)
     unknown = [name for name in equations.names if name not in known]
@@ -386,14 +387,16 @@ def _ambiguous(completions: Sequence[Mapping[str, float]]) -> Claim:
 def _underdetermined(
     plant: Plant, design: Design, known: Mapping[str, Fraction], unknown: Sequence[str]
 ) -> Equilibrium:
-    free = ", ".join(name for name in unknown)
+    inputs = set(unknown) <= set(plant.system.input_names)
     claim = Claim(
         "equilibrium",
         Status.UNDECIDED,
         "at x*",
         "rank of the equilibrium equations",
-        f"the target leaves a family of equilibria: {free} are not determined",
-        f"add conditions to the target: {plant.system.m} are usually needed, one for each input",
+        f"the target leaves a family of equilibria: not determined: {', '.join(unknown)}",
+        "look at the input matrix: an input does not act, or two of them do the same"
+        if inputs
+        else f"add conditions to the target: {plant.system.m} are usually needed, one for each input",
     )
     return Equilibrium(claim, None)
 
@@ -453,7 +456,8 @@ def _no_zero(plant: Plant, design: Design, equations: _Equations, square: _Squar
         "at x*",
         f"Newton's method from {square.search.samples} starts",
         f"no equilibrium that meets the target was found{near}",
-        "check that the target is reachable, or give `near={...}` to start the search close to it",
+        smooth_forms(plant)
+        or "check that the target is reachable, or give `near={...}` to start the search close to it",
     )
     return Equilibrium(claim, None)
 
@@ -467,7 +471,7 @@ def _is_smooth_at(plant: Plant, state: Mapping[str, float]) -> bool:
     return all(is_finite(v) for matrix in entries for row in matrix for v in row)
 
 
-def _refuted(plant: Plant, design: Design, contradiction: Inconsistent) -> Equilibrium:
+def _refuted(plant: Plant, design: Design) -> Equilibrium:
     """The linear equations contradict each other: measure by how much, at the target."""
     if _contradict_each_other(plant, design):
         asked = ", ".join(f"{c.name} = {text(rational(c.value))}" for c in design.target.conditions)
@@ -481,11 +485,10 @@ def _refuted(plant: Plant, design: Design, contradiction: Inconsistent) -> Equil
             {"conditions": asked},
         )
         return Equilibrium(claim, None)
-    polished = nearest_assignable(plant, design)
     point = best_point(plant, design)
     (residual,) = plant.at(point, plant.system.xdot)
     values = [row[0] for row in residual]
-    return _residual_verdict(plant, values, polished, "linear elimination over the rationals", point)
+    return _residual_verdict(plant, design, values, "linear elimination over the rationals", point)
 
 
 def _contradict_each_other(plant: Plant, design: Design) -> bool:
@@ -507,16 +510,14 @@ def _contradict_each_other(plant: Plant, design: Design) -> bool:
 def _not_assignable(
     plant: Plant, design: Design, equations: _Equations, point: Point, values: Sequence[Real]
 ) -> Equilibrium:
+    return _residual_verdict(plant, design, values[: plant.system.n], "residual in exact or ball arithmetic", point)
+
+
+def _residual_verdict(plant: Plant, design: Design, values: Sequence[Real], method: str, point: Point) -> Equilibrium:
     polished = nearest_assignable(plant, design)
-    return _residual_verdict(plant, values[: plant.system.n], polished, "residual in exact or ball arithmetic", point)
-
-
-def _residual_verdict(
-    plant: Plant, values: Sequence[Real], polished: Mapping[str, float] | None, method: str, point: Point
-) -> Equilibrium:
     worst = max(values, key=lambda v: abs(approximate(v)))
     row = plant.system.state_names[list(values).index(worst)]
-    hint = "give fewer coordinates and let pbcgen complete them"
+    hint = _give_less(plant, design)
     if polished is not None:
         hint += "; the nearest assignable point is " + _pairs(polished)
     residual = f"d{row}/dt = {text(worst, 6)} with the best u"
@@ -535,6 +536,16 @@ def _residual_verdict(
         },
     )
     return Equilibrium(claim, None)
+
+
+def _give_less(plant: Plant, design: Design) -> str:
+    """The advice to leave entries of the target open: as many can be wished for as there are inputs."""
+    given, inputs = [c.name for c in design.target.conditions], plant.system.m
+    if len(given) <= inputs:
+        return "choose a point that an input can hold"
+    names = ", ".join(f"`{name}`" for name in given)
+    there = "is 1 input" if inputs == 1 else f"are {inputs} inputs"
+    return f"the target gives {names}, and there {there}: leave {len(given) - inputs} open"
 
 
 def _pairs(values: Mapping[str, float]) -> str:

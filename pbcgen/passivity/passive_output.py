@@ -433,7 +433,7 @@ def _unproved(candidate: _Candidate, storage_proved: bool, region: Region) -> Cl
 
 def _hint(candidate: _Candidate, storage_proved: bool) -> str:
     if not storage_proved:
-        return "check the storage and the signs of the dissipation"
+        return "mend assumption-1 first"
     if candidate.strategy == _GIVEN:
         return "leave gamma out to have it derived, or check its sign and scale: gamma' must be a passive output"
     return "give gamma with the model"

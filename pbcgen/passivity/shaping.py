@@ -146,7 +146,7 @@ def gradient_condition(plant: Plant, point: Point, shape: Shape, structure: Powe
         "at x*",
         "ball arithmetic",
         "the enclosure contains zero",
-        "name the target by coordinates that make x* rational",
+        "mend the claims above, whose structure decides this one; or give x* itself in decimals",
     )
 
 

@@ -6,7 +6,7 @@ that the system states by branch and bound. A counterexample outside the box doe
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -15,6 +15,7 @@ import casadi as ca
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.region import Region, search, undefined
+from pbcgen.passivity.smooth import smooth_forms
 from pbcgen.passivity.structure import PowerStructure, StructureProof, power_structure, prove
 from pbcgen.proof.branch import Budget, Formula, nonnegative_on_box, zero_set
 from pbcgen.proof.claim import Claim, Status
@@ -62,8 +63,8 @@ def assumption_1(plant: Plant) -> Storage:
     tape = plant.tape(plant.system.S)
     if any(tape.uses(name) for name in _JUMPING):
         evidence = "S contains a comparison, a rounding or a sign, so it may jump, and its derivative does not show it"
-        hint = "write a smooth storage"
-        return Storage(Claim("assumption-1", Status.UNDECIDED, "all x", "not reached", evidence, hint), None)
+        hint = f"write a smooth storage: {smooth_forms(plant) or 'without comparisons and roundings'}"
+        return Storage(Claim("assumption-1", Status.UNDECIDED, "all x", "operations of S", evidence, hint), None)
     found = power_structure(plant) if plant.gradient_is_exact else None
     structure = found[0] if found else None
     whole = Region.whole(plant)
@@ -81,7 +82,7 @@ def assumption_1(plant: Plant) -> Storage:
         for claim in _attempts(plant, region, structure, power):
             storage = Storage(claim, structure, region=None if region.is_whole else region)
             return _where_defined(plant, storage)
-    return Storage(_open(stated, counterexample, found[1] if found else None), structure)
+    return Storage(_open(plant, stated, counterexample, found[1] if found else None), structure)
 
 
 def _rate(plant: Plant) -> ca.SX:
@@ -199,20 +200,35 @@ def _refuted(plant: Plant, region: Region, search: Search) -> Claim:
     assert search.value is not None
     names = plant.system.state_names
     point = {name: text(rational(v), 17) for name, v in zip(names, search.point, strict=True)}
+    shown = (f"{name} = {float(v):.4g}" for name, v in zip(names, search.point, strict=True))
     growth = -search.value
     return Claim(
         "assumption-1",
         Status.REFUTED,
         region.text,
         "ball arithmetic at a rational point",
-        f"grad S^T f = {text(growth, 6)} > 0: the storage grows without input",
-        "check the signs of the dissipation, or restrict the domain",
+        f"grad S^T f = {text(growth, 6)} > 0: the storage grows without input at {', '.join(shown)}",
+        _mend(plant, dict(zip(names, search.point, strict=True))),
         {"x": point, "grad S^T f": text(growth, 9)},
     )
 
 
-def _open(region: Region, search: Search, proof: StructureProof | None) -> Claim:
-    hint = "write S and f so that f = F grad S with sym F <= 0, or check the signs of the dissipation"
+def _mend(plant: Plant, point: Mapping[str, Fraction]) -> str:
+    """What to look at when the storage grows at a point: the friction that is negative there, if there is one."""
+    mechanics = plant.system.mechanical
+    if mechanics is not None:
+        values = [float(point[name]) for name in plant.system.state_names]
+        damping = plant.numeric(ca.diag(ca.densify(mechanics.D)))(values, [0.0] * plant.system.m)
+        for name, value in zip(plant.system.state_names, ca.vertsplit(damping), strict=False):
+            if float(value) < 0:
+                return f"the friction of `{name}` is {float(value):.4g} there: friction must not be negative"
+    return "look for a wrong sign in the friction, or a source in f that belongs to g u; a domain may exclude the state"
+
+
+def _open(plant: Plant, region: Region, search: Search, proof: StructureProof | None) -> Claim:
+    hint = smooth_forms(plant) or (
+        "write S and f so that f = F grad S with sym F <= 0, or check the signs of the dissipation"
+    )
     if region.is_whole:
         hint += "; a bounded domain would allow branch and bound"
     return Claim(

@@ -39,6 +39,9 @@ CLAIMS = (
 #: Code is emitted when these are PROVED (or allowed by name).
 EMISSION_CLAIMS = ("equilibrium", "measurability", "saturation", "asymptotically-stable", "sampled-stable")
 
+#: The method of a claim that an earlier one kept from being looked at.
+NOT_REACHED = "not reached"
+
 
 @dataclass(frozen=True)
 class Claim:

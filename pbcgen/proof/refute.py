@@ -91,7 +91,7 @@ class Search:
     @property
     def summary(self) -> str:
         """For the evidence of a verdict."""
-        return f"{self.evaluations} states searched with seed 0, worst relative margin {self.worst:.3g}"
+        return f"{self.evaluations} states searched with seed 0, worst relative margin {self.worst + 0.0:.3g}"
 
 
 @dataclass(eq=False)

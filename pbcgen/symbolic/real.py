@@ -139,11 +139,11 @@ def approximate(value: Real) -> float:
 
 
 def text(value: Real, digits: int = 12) -> str:
-    """The number for a human reader: exact rationals with a short decimal exactly, others rounded."""
+    """The number for a human reader: exact if it is short, as a decimal or as p/q; else rounded."""
     if isinstance(value, arb):
         return f"{approximate(value):.{digits}g}" if value.is_finite() else "undefined"
     shown = f"{float(fraction(value)):.{digits}g}"
-    return shown if Fraction(shown) == fraction(value) or abs(value.q) > 10**digits else str(value)
+    return shown if Fraction(shown) == fraction(value) or len(str(value)) > max(digits, 7) else str(value)
 
 
 def _monotone(function: Callable[[arb], arb], value: Real) -> arb:

@@ -44,7 +44,13 @@ def model(old, new):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("D=[p.d]", "D=[p.d, p.d]", "D"),
+        ("D=[p.d]", "D=[p.d, p.d]", "the damping D must be 1x1"),
+        ("D=[p.d]", "D=['0.02']", "the damping D contains the text '0.02'"),
+        ("M=[p.J]", "M=[-p.J]", "the inertia matrix M is not positive definite"),
+        ("V=p.m *", "V=p.mass *", "there is no parameter `mass`"),
+        ("V=p.m *", "V=float('nan') *", "the potential energy V contains a constant that is not a finite number"),
+        ("V=p.m *", "V=1 / 0 *", "ZeroDivisionError"),
+        ("G=[1]", "GG=[1]", "unexpected keyword argument 'GG'"),
         ("q=[angle]", "q=[angle, ca.SX.sym('b')]", "q"),
         ('d="0.02"', "d=None", "the parameter `d` has no value"),
         ('m="0.2"', 'm=float("nan")', "the parameter `m` is nan"),
@@ -57,20 +63,45 @@ def model(old, new):
         ("Limits.symmetric(1)", "Limits.symmetric(-1)", "positive"),
         ('sample_period="1e-3"', "sample_period=0", "the sample period is 0"),
         ('precision="float"', 'precision="half"', "half"),
-        ("design = Design(", "controller = Design(", "defines no `design`"),
         ("import casadi as ca", "import casadi as ca, nothing_of_this_name", "nothing_of_this_name"),
+        ("pendulum = Mechanical(", "pendulum = = Mechanical(", "invalid syntax"),
     ],
 )
-def test_a_model_that_is_not_right_is_refused_with_exit_code_1(generate, old, new, message):
-    code, printed = generate(model(old, new))
+def test_a_model_that_is_not_right_is_refused_with_its_line(generate, old, new, message):
+    text = model(old, new)
+    code, printed = generate(text)
     assert code == 1
     assert message in printed
+    number, line = next((k, line) for k, line in enumerate(text.splitlines(), 1) if new in line)
+    assert printed.startswith(f"Error: plant.py:{number}: ")
+    assert printed.splitlines()[-1] == f"{number:>6} | {line.strip()}"
 
 
-def test_a_message_names_the_line_of_the_users_file(generate):
-    text = model("beta=5", "beta=-5")
-    line = next(number for number, line in enumerate(text.splitlines(), 1) if "beta=-5" in line)
-    assert f"plant.py:{line}: " in generate(text)[1]
+def test_a_model_without_a_design_is_refused(generate):
+    code, printed = generate(model("design = Design(", "controller = Design("))
+    assert code == 1
+    assert "defines no `design`" in printed
+
+
+def test_an_error_in_a_file_beside_the_model_names_that_file(generate, tmp_path):
+    (tmp_path / "values.py").write_text("from pbcgen import Parameters\n\np = Parameters(\n    m='two',\n)\n")
+    printed = generate("from values import p\n")[1]
+    assert printed.startswith("Error: values.py:4: the parameter `m` is 'two'")
+
+
+def test_an_error_that_is_found_later_names_the_line_of_the_argument(generate):
+    text = model("law=DynamicExtension(", "law=PotentialCompensation(")
+    text = text.replace("import Design,", "import PotentialCompensation, Design,").replace("G=[1]", "G=[2]")
+    line = next(k for k, line in enumerate(text.splitlines(), 1) if "G=[2]" in line)
+    assert generate(text)[1].startswith(f"Error: plant.py:{line}: potential-compensation needs G = I")
+
+
+def test_a_verdict_names_the_line_of_what_it_speaks_of(generate, capsys, tmp_path):
+    text = model('measured=["angle"]', 'measured=["momentum"]')
+    generate(text)
+    line = next(k for k, line in enumerate(text.splitlines(), 1) if "measured=" in line)
+    cli.execute(["check", str(tmp_path / "plant.py")])
+    assert f'plant.py:{line}: measured=["momentum"],' in capsys.readouterr().out
 
 
 def test_a_storage_that_depends_on_the_input_is_refused(generate):
