@@ -19,7 +19,7 @@ import numpy as np
 from flint import fmpq
 from numpy.typing import NDArray
 
-from pbcgen.control.graph import column, exact_inverse, matrix
+from pbcgen.control.graph import exact_inverse
 from pbcgen.control.linearisation import ClosedLoopSlope
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.gains import Matrix, Vector
@@ -34,8 +34,8 @@ from pbcgen.proof.definite import as_balls
 from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
 from pbcgen.proof.nonnegative import positive, semidefinite
 from pbcgen.symbolic.linear import Inconsistent, Row, reduce_rows
-from pbcgen.symbolic.real import BITS, Real, approximate, ball, fraction, precision, sign, text
-from pbcgen.symbolic.tape import exact_decimal
+from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, ball, fraction, precision, rational, sign, text
+from pbcgen.symbolic.tape import Tape, exact_decimal
 
 #: Other equilibria are not searched for in systems with more states.
 _LARGEST_SEARCH = 12
@@ -397,7 +397,7 @@ def _monotone(situation: Situation, found: InvariantSet) -> bool:
     assert start is not None
     along = ca.substitute(situation.gamma, system.x, ca.vertcat(*[found.solved[k] for k in range(system.n)]))
     slope = ca.jacobian(along, start.constant)
-    compliance = ca.SX(system.m, system.m) if K_c is None else matrix(exact_inverse(K_c))
+    compliance = ca.SX(system.m, system.m) if K_c is None else _exact_matrix(plant, exact_inverse(K_c))
     total = ca.substitute((slope + slope.T) / 2 + compliance, start.constant, system.u)
     try:
         field, (values,) = plant.exact(total)
@@ -410,12 +410,16 @@ def _second_equilibrium(situation: Situation) -> Claim | None:
     """Search for a rest of the closed loop away from x*, and certify it."""
     if isinstance(situation.law, Integral) or situation.plant.system.n > _LARGEST_SEARCH:
         return None
-    system = situation.plant.system
-    residual = _rest_equations(situation)
-    z = ca.vertcat(system.x, system.u)
-    jacobian = ca.jacobian(residual, z)
-    function = situation.plant.numeric(residual, jacobian)
-    n = system.n
+    plant, point = situation.plant, situation.point
+    system, n = plant.system, plant.system.n
+    at_star = ca.SX.sym("at_star", 2 * system.m)
+    residual = _rest_equations(situation, at_star[: system.m], at_star[system.m :])
+    jacobian = ca.jacobian(residual, ca.vertcat(system.x, system.u))
+    with precision(BITS):
+        (gamma_star,) = plant.at(point, situation.gamma)
+        constants = [*point.u, *[row[0] for row in gamma_star]]
+    rounded = ca.DM([approximate(v) for v in constants])
+    function = plant.numeric(*[ca.substitute(e, at_star, ca.SX(rounded)) for e in (residual, jacobian)])
 
     def evaluate(point: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         value, slope = function(point[:n], point[n:])
@@ -424,10 +428,11 @@ def _second_equilibrium(situation: Situation) -> Claim | None:
     star = np.array([approximate(v) for v in (*situation.point.x, *situation.point.u)])
     spread = np.full(n + system.m, 10.0)
     around = Search(star - spread, star + spread, samples=12)
-    tape = situation.plant.tape(residual, jacobian)
+    tape = Tape.of([*plant.symbols, at_star], [residual, jacobian])
+    parameters: list[Real] = [rational(plant.values[name]) for name in plant.parameter_names]
 
     def in_balls(values: list[Real]) -> tuple[list[Real], list[list[Real]]]:
-        value, slope = situation.plant.walk(tape, values[:n], values[n:])
+        value, slope = (v.dense(ZERO) for v in tape.walk(REAL, [values[:n], values[n:], parameters, constants]))
         return [row[0] for row in value], slope
 
     with precision(BITS):
@@ -443,18 +448,23 @@ def _second_equilibrium(situation: Situation) -> Claim | None:
     return None
 
 
-def _rest_equations(situation: Situation) -> ca.SX:
+def _rest_equations(situation: Situation, u_star: ca.SX, gamma_star: ca.SX) -> ca.SX:
     """Equilibria of the closed loop in (x, u): ``f + g (u_c + u) = 0``, and (rest) in the form with tanh."""
-    system = situation.plant.system
+    plant, system = situation.plant, situation.plant.system
     alpha, beta, K_c = situation.gains
     comp = situation.compensation
     u = system.u if comp is None else comp + system.u
-    kappa = [0.0] * system.m if comp is not None else [-approximate(v) for v in situation.point.u]
-    w = system.u + ca.SX(ca.DM(kappa))
-    (gamma_star,) = situation.plant.at(situation.point, situation.gamma)
-    deviation = situation.gamma - ca.SX(ca.DM([approximate(row[0]) for row in gamma_star]))
-    inside = deviation if K_c is None else deviation + ca.mtimes(matrix(exact_inverse(K_c)), w)
-    return ca.vertcat(system.f + ca.mtimes(system.g, u), w + column(alpha) * ca.tanh(column(beta) * inside))
+    w = system.u if comp is not None else system.u - u_star
+    inside = situation.gamma - gamma_star
+    if K_c is not None:
+        inside = inside + ca.mtimes(_exact_matrix(plant, exact_inverse(K_c)), w)
+    alpha_, beta_ = (ca.vertcat(*map(plant.number, gain)) for gain in (alpha, beta))
+    return ca.vertcat(system.f + ca.mtimes(system.g, u), w + alpha_ * ca.tanh(beta_ * inside))
+
+
+def _exact_matrix(plant: Plant, rows: Matrix) -> ca.SX:
+    """Fractions as a matrix in the plant's expressions."""
+    return ca.vertcat(*[ca.horzcat(*map(plant.number, row)) for row in rows])
 
 
 def _second(situation: Situation, x: list[Real]) -> Claim:
