@@ -9,7 +9,7 @@ SYSTEMS := coupling_device rlc pera pera_integral elastic_pendulum
 REFERENCE := coupling_device rlc pera
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test lint format generated figures docs firmware eva fuzz bench clean
+.PHONY: help env demo test unit lint format generated figures docs firmware eva fuzz bench clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -44,6 +44,9 @@ demo-%: env
 
 test: lint ## lint, types and tests
 	$(BIN)/python -m pytest -n 2
+
+unit: env ## the tests without those of whole systems: no compiler runs, emulation, browser, site or installation
+	$(BIN)/python -m pytest -n 2 -m "not system"
 
 lint: env ## style and types
 	$(BIN)/ruff check

@@ -119,7 +119,7 @@ def _status(report):
     return {c.claim: str(c.status) for c in report.claims}
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.parametrize("name", _designs())
 def test_a_sound_design_is_proved_and_may_be_emitted(name):
     report = _report(name)
@@ -131,7 +131,7 @@ def test_a_sound_design_is_proved_and_may_be_emitted(name):
     assert all(c.hint or str(c.status) == "PROVED" for c in report.claims)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.parametrize("name", _designs())
 def test_both_closed_loops_reach_the_target_within_the_interval(name):
     report = _report(name)
@@ -149,7 +149,7 @@ def test_both_closed_loops_reach_the_target_within_the_interval(name):
     np.testing.assert_allclose(sampled.x[-1], same_time, atol=5e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_full_gains_and_algebraic_loops_are_solved_as_blocks():
     for name in (
         "dynamic extension, two inputs, full K_c and R_c",

@@ -6,7 +6,7 @@ import pytest
 
 from pbcgen.cli import execute
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.system
 
 
 def test_a_page_of_a_built_in_model(tmp_path, capsys):

@@ -72,14 +72,14 @@ def test_the_coupling_device_is_stable_by_linearisation_although_theta_fails():
     assert status("coupling_device", "globally-asymptotically-stable") != "PROVED"
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.parametrize(("alpha", "abscissa"), [("2.5", -0.2993), ("3.75", -0.2711), ("5", -0.2308)])
 def test_spectral_abscissa_of_the_coupling_device(alpha, abscissa):
     changes = () if alpha == "2.5" else coupling(alpha)
     assert derivation("coupling_device", changes).derived["spectral_abscissa"] == pytest.approx(abscissa, abs=5e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.parametrize(("alpha", "largest"), [("2.5", 0.2404), ("5", 0.1807)])
 def test_longest_sample_period_of_the_coupling_device(alpha, largest):
     changes = () if alpha == "2.5" else coupling(alpha)
@@ -92,7 +92,7 @@ def _settling_time(times, values, target):
     return times[outside[-1] + 1]
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_trajectory_of_the_coupling_device():
     run = continuous("coupling_device")
     assert run.x[:, 2].max() == pytest.approx(31.66e-3, abs=5e-6)
@@ -102,7 +102,7 @@ def test_trajectory_of_the_coupling_device():
     assert np.abs(run.u).max() <= 5
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.parametrize(("alpha", "peak", "bound"), [("3.75", 30.40e-3, 7.5), ("5", 30.91e-3, 10)])
 def test_larger_amplitudes_of_the_coupling_device(alpha, peak, bound):
     run = continuous("coupling_device", coupling(alpha))
@@ -111,7 +111,7 @@ def test_larger_amplitudes_of_the_coupling_device(alpha, peak, bound):
     assert np.abs(run.u).max() <= bound
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_without_x_l_the_second_mass_of_the_coupling_device_oscillates():
     run = continuous("coupling_device", WITHOUT_X_L)
     x2, x3 = run.x[:, 1], run.x[:, 2]
@@ -143,7 +143,7 @@ def test_a_slightly_larger_amplitude_of_the_circuit_is_refused():
     assert status("rlc", "saturation", changes) == "REFUTED"
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_20_ma_exactly_is_refused_by_19_microvolts():
     """x3* = ln(200001)/4 = 3.0515194 V, and 3.0515194 + 0.0485 - 3.1 = 1.9e-5."""
     base = design("rlc")
@@ -162,7 +162,7 @@ def test_20_ma_exactly_is_refused_by_19_microvolts():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.parametrize(("beta", "largest"), [(1, 3.804e-4), (10, 3.554e-5), (100, 3.737e-6)])
 def test_longest_sample_period_of_the_circuit(beta, largest):
     """Eigenvalues with 40 digits: the radius passes one at 380.4 us, 35.54 us and 3.737 us."""
@@ -171,7 +171,7 @@ def test_longest_sample_period_of_the_circuit(beta, largest):
     assert status("rlc", "sampled-stable", changes) == ("PROVED" if beta == 1 else "REFUTED")
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_a_larger_beta_saturates_more_often():
     entries = []
     for beta in (1, 10, 100):
@@ -187,13 +187,13 @@ def test_a_larger_beta_saturates_more_often():
 # --- robot arm ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.parametrize("name", ["pera", "pera_integral"])
 def test_gamma_of_the_arm_are_the_joint_angles(name):
     assert _is_exactly(name, derivation(name).gamma, design(name).system.x[:3])
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_the_torques_of_the_arm_respect_the_differential_drives():
     """u1 <= 17; u2 and u3 reach 3 + m3 g d = 4.5696 and 3.3, together 7.8696 < 7.901."""
     intervals = derivation("pera").derived["input_intervals"]
@@ -204,7 +204,7 @@ def test_the_torques_of_the_arm_respect_the_differential_drives():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_without_friction_the_gains_of_the_arm_are_refused_at_1_khz():
     derived = derivation("pera", WITHOUT_FRICTION).derived
     assert derived["max_sample_period"] == pytest.approx(0.21e-3, rel=1e-2)
@@ -214,13 +214,13 @@ def test_without_friction_the_gains_of_the_arm_are_refused_at_1_khz():
     assert claim.hint
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_with_friction_the_gains_of_the_arm_are_accepted_at_1_khz():
     assert status("pera", "sampled-stable") == "PROVED"
     assert status("pera_integral", "sampled-stable") == "PROVED"
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_the_linearised_arm_with_the_integral_filter():
     """(linPERA) without friction."""
     derived = derivation("pera_integral", WITHOUT_FRICTION).derived

@@ -201,7 +201,7 @@ def test_options_of_sampling_are_checked():
             Sampling(**wrong)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_frictionless_arm_at_1_khz_is_refused_with_period_and_gain_change(tmp_path):
     design = frictionless_arm(tmp_path)
     report = pipeline.check(design)

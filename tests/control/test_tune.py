@@ -137,7 +137,7 @@ def test_command_prints_the_law_and_a_document(capsys, tmp_path):
     assert execute(["tune", "rlc", "-o", str(law)]) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_coupling_device_by_linearisation_settles_within_1_3_seconds():
     tuning = tune(load("coupling_device"), Wish(routes=("linearisation",), settling=1.3, effort=400))
     assert pipeline.check(tuning.design).emittable
@@ -145,7 +145,7 @@ def test_coupling_device_by_linearisation_settles_within_1_3_seconds():
     assert settling(load("coupling_device"), 20) == pytest.approx(10.8, abs=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_coupling_device_by_lyapunov_is_limited_by_its_natural_damping():
     tuning = tune(load("coupling_device"), Wish(routes=("lyapunov",), effort=200))
     assert {"theta", "assumption-3", "kc-bound", "sampled-stable"} <= proved(tuning.design)
@@ -153,7 +153,7 @@ def test_coupling_device_by_lyapunov_is_limited_by_its_natural_damping():
     assert any("no lower than -0.022" in note for note in tuning.chosen.notes)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_the_arm_without_friction_gets_gains_for_1_khz(tmp_path):
     from tests.control.test_sampled import frictionless_arm
 

@@ -8,7 +8,7 @@ import pytest
 from doc_pages import DOCS
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.system,
     pytest.mark.skipif(importlib.util.find_spec("nbclient") is None, reason="needs the extra `docs`"),
     pytest.mark.skipif(importlib.util.find_spec("ipykernel") is None, reason="needs the extra `docs`"),
 ]

@@ -10,7 +10,7 @@ import pytest
 from doc_pages import DOCS, PAGES, ROOT, Page
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.parametrize("name", PAGES)
 def test_the_code_of_a_page_runs_and_prints_what_it_shows(name, tmp_path):
     page = Page(name, tmp_path)
@@ -28,7 +28,7 @@ def test_links_and_pictures_exist(name):
             assert (DOCS / target).exists(), target
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.skipif(importlib.util.find_spec("material") is None, reason="needs the extra `docs`")
 def test_the_site_builds_without_a_warning(tmp_path):
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]

@@ -77,7 +77,7 @@ def needs(*tools: str) -> pytest.MarkDecorator:
     return pytest.mark.skipif(bool(missing), reason=f"{', '.join(missing)} is missing")
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @needs("cppcheck")
 def test_cppcheck_and_misra_find_the_listed_deviations_only(package):
     prefix, directory = package
@@ -99,7 +99,7 @@ def test_the_sanitizers_find_nothing_for_random_bits(package):
     run(["./sanitized"], cwd=directory)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @needs("cc", "valgrind")
 def test_valgrind_finds_nothing(package):
     prefix, directory = package

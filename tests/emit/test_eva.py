@@ -17,7 +17,7 @@ from pbcgen.emit import render
 GENERATED = Path(__file__).resolve().parents[2] / "generated"
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.system,
     pytest.mark.skipif(not shutil.which("frama-c"), reason="frama-c is missing (apt: frama-c-base)"),
 ]
 

@@ -31,7 +31,7 @@ def fuzzer_links() -> bool:
 
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.system,
     pytest.mark.skipif(not fuzzer_links(), reason="no libFuzzer (apt: clang libclang-rt-14-dev)"),
 ]
 

@@ -23,7 +23,7 @@ BOARDS = [name for name, target in TARGETS.items() if target.machine]
 TICKS = {"mps2-an386": 25.6, "microbit": 16.384}
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.system,
     *(
         pytest.mark.skipif(not shutil.which(tool), reason=f"{tool} is missing: `make firmware` says what to install")
         for tool in ("arm-none-eabi-gcc", "qemu-system-arm")

@@ -49,7 +49,7 @@ def matches(expected, printed):
     return re.fullmatch("(?:.*\n)*?".join(map(re.escape, pieces)), printed.rstrip() + "\n") is not None
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_the_commands_print_what_the_readme_shows(tmp_path):
     for block in blocks("python"):
         (tmp_path / block.partition("\n")[0].removeprefix("# ")).write_text(block, encoding="utf-8")

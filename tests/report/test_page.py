@@ -14,7 +14,7 @@ from pbcgen.proof.claim import Status
 from pbcgen.report.derivation import steps
 from pbcgen.report.page import page
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.system
 
 
 class Elements(HTMLParser):

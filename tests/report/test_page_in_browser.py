@@ -14,7 +14,7 @@ CHROMIUM = os.environ.get("CHROMIUM") or next(
 )
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.system,
     pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine (apt-get install chromium)"),
 ]
 

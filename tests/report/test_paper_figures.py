@@ -7,7 +7,7 @@ from pbcgen.models.loader import load
 from pbcgen.proof.claim import Status
 from pbcgen.report import figures
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.system
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from pbcgen.run.emulate import Emulated, measure, missing_tools
 from pbcgen.run.targets import TARGETS, target
 from pbcgen.run.wrapper import Controller
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(missing_tools()), reason=missing_tools())]
+pytestmark = [pytest.mark.system, pytest.mark.skipif(bool(missing_tools()), reason=missing_tools())]
 
 #: Mean and worst instructions of a step on Cortex-M4F, bytes of code, bytes of stack: none may grow unnoticed.
 LIMITS = {"coupling_device": (200, 225, 1100, 64), "rlc": (105, 110, 600, 64)}

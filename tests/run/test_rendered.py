@@ -121,7 +121,7 @@ def test_a_package_of_another_law_is_refused() -> None:
         validate(oscillator.law(), rendered(coupled_law()), oscillator.loop(), lambda h: oscillator.law(h=h), steps=10)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_zig_and_cc_compile_to_the_same_controller() -> None:
     zig = find_zig()
     if zig is None:

@@ -40,7 +40,7 @@ def test_the_integrator_agrees_with_cvodes(name):
     assert np.max(error) < 2e-3
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_coupling_device_runs_200_trajectories_a_second():
     *_, loops = prepared("coupling_device", Disturbances(spread=0.1))
     assert loops.steps == 20_000
@@ -66,7 +66,7 @@ def test_local_processes_give_the_same(rlc):
     assert np.array_equal(shared.outcomes, robust(rlc[3], 20).outcomes)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_a_dask_cluster_gives_the_same(rlc):
     pytest.importorskip("distributed")
     executor, close = dask_executor()
@@ -118,7 +118,7 @@ def test_coarse_sensors_and_dead_zones_leave_an_error():
     assert abs(clean.final[0, 0]) < 1e-3 < abs(rough.final[0, 0])
 
 
-@pytest.mark.slow
+@pytest.mark.system
 def test_coulomb_friction_leaves_an_error_that_the_integral_law_removes():
     friction = Disturbances(friction={"p1": 0.8, "p2": 0.3, "p3": 0.1})
     # The ideal arm creeps to its target through the slow mode R_c K_c: 60 s are enough for joint 1.
