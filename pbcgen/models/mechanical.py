@@ -170,11 +170,7 @@ def input_symbols(inputs: Sequence[str] | None, m: int) -> ca.SX:
 
 
 def _mechanics(q: ca.SX, p: ca.SX, *, M: Any, M_inv: Any, V: Any, D: Any, G: Any, parameters: Parameters) -> Mechanics:
-    """The parts, checked.
-
-    Where M is given, no inverse is differentiated: with v = M^-1 p the gradient of the kinetic energy is
-    ``-v^T (dM/dq) v / 2``.
-    """
+    """The parts, checked."""
     n = q.numel()
     potential = shaped(V, (1, 1), "the potential energy V")
     damping = ca.sparsify(square(D, n, "the damping D")) if D is not None else ca.SX(n, n)
@@ -193,16 +189,22 @@ def _mechanics(q: ca.SX, p: ca.SX, *, M: Any, M_inv: Any, V: Any, D: Any, G: Any
         check_finite(value, what)
     _check_diagonal(damping)
     _check_inertia(inertia, inverse_inertia, q, parameters)
+    velocity, gradient = energy_slope(q, p, potential, inertia if M is not None else None, inverse_inertia)
+    return Mechanics(q, p, inertia, inverse_inertia, potential, damping, actuation, velocity, gradient)
+
+
+def energy_slope(q: ca.SX, p: ca.SX, V: ca.SX, M: ca.SX | None, M_inv: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """The velocity ``v = M^-1 p`` and the gradient of ``H = p^T v / 2 + V`` in (q, p), for symmetric M.
+
+    With M no inverse is differentiated: ``grad_q H = grad V - v^T (dM/dq) v / 2``. Without it M_inv is used.
+    """
     if M is not None:
-        velocity = solve(inertia, p)
-        kinetic = -_form_gradient(inertia, velocity, q)
+        velocity = solve(M, p)
+        kinetic = -_form_gradient(M, velocity, q)
     else:
-        velocity = ca.mtimes(inverse_inertia, p)
-        kinetic = _form_gradient(inverse_inertia, p, q)
-    gradient = ca.gradient(potential, q) + kinetic
-    return Mechanics(
-        q, p, inertia, inverse_inertia, potential, damping, actuation, velocity, ca.vertcat(gradient, velocity)
-    )
+        velocity = ca.mtimes(M_inv, p)
+        kinetic = _form_gradient(M_inv, p, q)
+    return velocity, ca.vertcat(ca.gradient(V, q) + kinetic, velocity)
 
 
 def _inertia_pair(M: Any, M_inv: Any, n: int) -> tuple[ca.SX, ca.SX]:

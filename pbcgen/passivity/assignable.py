@@ -123,22 +123,31 @@ def nearest_assignable(plant: Plant, design: Design) -> dict[str, float] | None:
 def assignable_set(plant: Plant) -> list[str]:
     """The equations ``g_perp(x) f(x) = 0`` of the assignable equilibria, as text in the parameters' names.
 
-    g_perp is a basis of the left annihilator of g over the rational functions. Empty when f or g is not analytic.
+    g_perp is a basis of the left annihilator of g over the rational functions. For mechanical systems these are p = 0
+    and ``G_perp grad V = 0`` (eqmec). Empty when the functions are not analytic.
     """
-    system = plant.system
+    system, mechanics = plant.system, plant.system.mechanical
+    if mechanics is None:
+        return _annihilated(plant, system.f, system.g)
+    at_rest = [f"{name} = 0" for name in system.state_names[system.n // 2 :]]
+    return at_rest + _annihilated(plant, ca.gradient(mechanics.V, mechanics.q), mechanics.G)
+
+
+def _annihilated(plant: Plant, drift: ca.SX, inputs: ca.SX) -> list[str]:
+    """The equations of the drift that no input enters, as text."""
     try:
-        field, (f, g) = plant.exact(system.f, system.g, symbolic=True)
+        field, (f, g) = plant.exact(drift, inputs, symbolic=True)
+        zero = field.const(0)
+        rest, rows = f.column(zero), g.dense(zero)
+        solved = reduce_rows([dict(enumerate(column)) for column in zip(*rows, strict=True)])
+        equations = []
+        for free in (k for k in range(len(rest)) if k not in solved):
+            total = rest[free]
+            for pivot, row in solved.items():
+                if free in row:
+                    total = total - row[free] * rest[int(str(pivot))]
+            if not total.is_zero():
+                equations.append(f"{formula(field.polynomial(total.numerator), plant.parameter_positions())} = 0")
     except (UnsupportedOperation, ZeroDivisionError):
         return []
-    zero = field.const(0)
-    drift, rows = f.column(zero), g.dense(zero)
-    solved = reduce_rows([{i: rows[i][j] for i in range(system.n)} for j in range(system.m)])
-    equations = []
-    for free in (k for k in range(system.n) if k not in solved):
-        total = drift[free]
-        for pivot, row in solved.items():
-            if free in row:
-                total = total - row[free] * drift[int(str(pivot))]
-        if not total.is_zero():
-            equations.append(f"{formula(field.polynomial(total.numerator), plant.parameter_positions())} = 0")
     return equations

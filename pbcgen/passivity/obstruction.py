@@ -16,14 +16,13 @@ from fractions import Fraction
 import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.passivity.construction import WEIGHTS, general_position
 from pbcgen.passivity.plant import Plant
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, is_finite, precision, rational, sign, text
 from pbcgen.symbolic.tape import Tape
 
-#: States at which a nonzero function is looked for: fractions without special meaning, inside any box by scaling.
-_WEIGHTS = (Fraction(3, 7), Fraction(5, 11), Fraction(2, 9), Fraction(7, 13), Fraction(4, 17))
 _LARGEST = 12
 
 
@@ -203,13 +202,10 @@ def _witness(
     conditions = [plant.expression(w) for w in finite if w.constant() is None]
     tape = Tape.of(plant.symbols, [*expressions, ca.vertcat(ca.SX(0, 1), *conditions)])
     parameters = [rational(plant.values[name]) for name in plant.parameter_names]
-    for shift in range(len(_WEIGHTS)):
+    for shift in range(len(WEIGHTS)):
         x: list[Real] = [ZERO] * system.n
         for k in places.free:
-            lo, hi = system.domain.get(system.state_names[k], (None, None))
-            low = lo if lo is not None else (hi - 1 if hi is not None else Fraction(0))
-            high = hi if hi is not None else low + 1
-            x[k] = rational(low + (high - low) * _WEIGHTS[(k + shift) % len(_WEIGHTS)])
+            x[k] = general_position(system, k, shift)
         with precision(BITS):
             first, second = tape.walk(REAL, [x, [ZERO] * system.m, parameters])
         number = first.scalar(ZERO)

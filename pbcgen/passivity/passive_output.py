@@ -316,25 +316,16 @@ def prove(
     if not storage_proved:
         return None
     psi = ca.jacobian(gamma, system.x).T
-    if structure is not None:
-        matrix, rho = structure.matrix, structure.remainder
-    else:
-        matrix, rho = ca.SX(system.n, system.n), ca.SX(system.n, 1)
+    if structure_proved and structure is not None and _matched(plant, structure, psi):
+        return f"structure: grad gamma = {'-F^-1 g' if structure.form == 'F' else '-A g'}"
     try:
-        field, (p, g, f, e, shape, rest) = plant.exact(psi, system.g, system.f, plant.gradient, matrix, rho)
+        field, (p, g, f, e) = plant.exact(psi, system.g, system.f, plant.gradient)
+        zero = field.const(0)
+        signals = columns(p, zero), columns(g, zero), f.column(zero), e.column(zero)
+        direct = _direct(*signals, zero, where.prover(Budget()))
+        return direct or _by_squares(plant, gamma, where)
     except (UnsupportedOperation, ZeroDivisionError):
         return None
-    zero = field.const(0)
-    psi_columns, g_columns = columns(p, zero), columns(g, zero)
-    drift, gradient = f.column(zero), e.column(zero)
-    if (
-        structure_proved
-        and structure is not None
-        and _matched(structure, psi_columns, g_columns, shape.dense(zero), rest.column(zero), zero)
-    ):
-        return f"structure: grad gamma = {'-F^-1 g' if structure.form == 'F' else '-A g'}"
-    direct = _direct(psi_columns, g_columns, drift, gradient, zero, where.prover(Budget()))
-    return direct or _by_squares(plant, gamma, where)
 
 
 def _balance(plant: Plant, gamma: ca.SX) -> ca.SX:
@@ -351,21 +342,20 @@ def _by_squares(plant: Plant, gamma: ca.SX, region: Region) -> str | None:
     return f"Z(x) is a matrix sum of squares, checked exactly; sizes of the matrices {found}" if found else None
 
 
-def _matched(
-    structure: PowerStructure,
-    psi: list[list[Quotient]],
-    g: list[list[Quotient]],
-    matrix: list[list[Quotient]],
-    rho: list[Quotient],
-    zero: Quotient,
-) -> bool:
+def _matched(plant: Plant, structure: PowerStructure, psi: ca.SX) -> bool:
     """``F grad gamma = -g`` and ``rho^T grad gamma = 0`` (or grad gamma = -A g): then Z is a quadratic form of B."""
-    for psi_i, g_i in zip(psi, g, strict=True):
-        left, right = (psi_i, g_i) if structure.form == "F" else (g_i, psi_i)
-        if not dot(rho, psi_i, zero).is_zero():
-            return False
-        if any(not (dot(row, left, zero) + right[k]).is_zero() for k, row in enumerate(matrix)):
-            return False
+    try:
+        field, (p, g, matrix, rho) = plant.exact(psi, plant.system.g, structure.matrix, structure.remainder)
+        zero = field.const(0)
+        rest, rows = rho.column(zero), matrix.dense(zero)
+        for psi_i, g_i in zip(columns(p, zero), columns(g, zero), strict=True):
+            left, right = (psi_i, g_i) if structure.form == "F" else (g_i, psi_i)
+            if not dot(rest, psi_i, zero).is_zero():
+                return False
+            if any(not (dot(row, left, zero) + right[k]).is_zero() for k, row in enumerate(rows)):
+                return False
+    except (UnsupportedOperation, ZeroDivisionError):
+        return False
     return True
 
 

@@ -11,6 +11,7 @@ import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.affine import AffineSystem
+from pbcgen.passivity.construction import gradient_by_construction
 from pbcgen.symbolic.field import Field, Quotient, evaluate
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, reals
 from pbcgen.symbolic.tape import Matrix, Tape, exact_decimal
@@ -44,12 +45,13 @@ class Plant:
 
     @cached_property
     def gradient_is_exact(self) -> bool:
-        """Whether the front end's expression of grad S, if it has one, is the derivative of S, as an exact identity.
+        """Whether the front end's expression of grad S, if it has one, is the derivative of S.
 
-        It rests on M being symmetric, which front ends only check at samples.
+        By the way it is written, else as an exact identity. It rests on M being symmetric, which front ends only check
+        at samples.
         """
         mechanics = self.system.mechanical
-        if mechanics is None:
+        if mechanics is None or gradient_by_construction(self.system):
             return True
         try:
             field, (difference,) = self.exact(mechanics.energy_gradient - ca.gradient(self.system.S, self.system.x))

@@ -15,12 +15,12 @@ from typing import Literal
 import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.passivity.construction import drift_by_construction
 from pbcgen.passivity.factor import Factor, find_factor, refine_symbolically
 from pbcgen.passivity.plant import Plant, dot
 from pbcgen.proof.nonnegative import Everywhere, Prover, semidefinite
 from pbcgen.symbolic.field import Field, Quotient
-
-Matrix = list[list[Quotient]]
+from pbcgen.symbolic.tape import Matrix as SparseMatrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +32,14 @@ class PowerStructure:
         matrix: F or A, n x n.
         remainder: rho, n x 1; zero for the form A.
         origin: where it comes from, for the evidence of verdicts.
+        known: whether it is the front end's own.
     """
 
     form: Literal["F", "A"]
     matrix: ca.SX
     remainder: ca.SX
     origin: str
+    known: bool = False
 
     def dissipation(self) -> ca.SX:
         """B, n x n symmetric."""
@@ -50,9 +52,9 @@ def candidates(plant: Plant) -> Iterator[PowerStructure]:
     zero = ca.SX(system.n, 1)
     known = system.structure
     if known is not None and known.F is not None:
-        yield PowerStructure("F", ca.SX(known.F), zero, "the model's structure f = F grad S")
+        yield PowerStructure("F", ca.SX(known.F), zero, "the model's structure f = F grad S", known=True)
     if known is not None and known.A is not None:
-        yield PowerStructure("A", ca.SX(known.A), zero, "the model's structure grad S = A f")
+        yield PowerStructure("A", ca.SX(known.A), zero, "the model's structure grad S = A f", known=True)
     try:
         yield from _searched(plant)
     except (UnsupportedOperation, ZeroDivisionError):
@@ -132,24 +134,47 @@ def prove(plant: Plant, structure: PowerStructure, prover: Prover | None = None)
     The signs are those that ``prover`` proves, by exact algebra on the whole space if it is not given.
     """
     prover = prover or Everywhere()
+    if structure.known and plant.gradient_is_exact and drift_by_construction(plant.system):
+        return _by_construction(plant, structure, prover)
     try:
         field, (f, e, matrix, remainder, dissipation) = plant.exact(
             plant.system.f, plant.gradient, structure.matrix, structure.remainder, structure.dissipation()
         )
+        zero = field.const(0)
+        drift, gradient, rho = f.column(zero), e.column(zero), remainder.column(zero)
+        identity = _identity(structure, drift, gradient, rho, matrix)
+        friction = dot(rho, gradient, zero)
     except (UnsupportedOperation, ZeroDivisionError):
         return StructureProof(False, False, False)
-    zero = field.const(0)
-    drift, gradient, rho = f.column(zero), e.column(zero), remainder.column(zero)
+    if not identity:
+        return StructureProof(False, False, False)
+    sign = semidefinite(dissipation.dense(zero), prover=prover)
+    return StructureProof(True, sign, prover.nonnegative(friction))
+
+
+def _identity(
+    structure: PowerStructure,
+    drift: list[Quotient],
+    gradient: list[Quotient],
+    rho: list[Quotient],
+    matrix: SparseMatrix[Quotient],
+) -> bool:
+    """``f = F grad S - rho``, or ``grad S = A f``."""
     left, right = (drift, gradient) if structure.form == "F" else (gradient, drift)
     excess = [value + rho[i] if structure.form == "F" else value for i, value in enumerate(left)]
     for (i, j), entry in matrix.entries.items():
         if not entry.is_zero():
             excess[i] = excess[i] - entry * right[j]
-    identity = all(value.is_zero() for value in excess)
-    if not identity:
-        return StructureProof(False, False, False)
-    sign = semidefinite(dissipation.dense(zero), prover=prover)
-    return StructureProof(True, sign, prover.nonnegative(dot(rho, gradient, zero)))
+    return all(value.is_zero() for value in excess)
+
+
+def _by_construction(plant: Plant, structure: PowerStructure, prover: Prover) -> StructureProof:
+    """The dissipation alone: f is written as F grad S, without remainder."""
+    try:
+        field, (dissipation,) = plant.exact(structure.dissipation())
+    except (UnsupportedOperation, ZeroDivisionError):
+        return StructureProof(True, False, True)
+    return StructureProof(True, semidefinite(dissipation.dense(field.const(0)), prover=prover), True)
 
 
 def power_structure(plant: Plant) -> tuple[PowerStructure, StructureProof] | None:

@@ -17,7 +17,7 @@ from flint import fmpq, fmpq_mpoly
 
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import positive_semidefinite
-from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.field import Field, Quotient, TooLarge
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO
 
@@ -470,7 +470,13 @@ def semidefinite(
     ``prover`` decides the signs, :class:`Everywhere` if not given.
     """
     prover = prover or Everywhere(positive_symbols)
-    rows = _as_rows(matrix)
+    try:
+        return _semidefinite(_as_rows(matrix), prover)
+    except TooLarge:
+        return False
+
+
+def _semidefinite(rows: dict[int, dict[int, Quotient]], prover: Prover) -> bool:
     while rows:
         for k in [k for k, row in rows.items() if not row]:
             del rows[k]
@@ -499,7 +505,13 @@ def definite(
 ) -> bool:
     """Whether the symmetric matrix of functions is proved positive definite wherever it is defined."""
     prover = prover or Everywhere(positive_symbols)
-    rows = _as_rows(matrix)
+    try:
+        return _definite(_as_rows(matrix), prover)
+    except TooLarge:
+        return False
+
+
+def _definite(rows: dict[int, dict[int, Quotient]], prover: Prover) -> bool:
     while rows:
         if any(k not in row for k, row in rows.items()):
             return False

@@ -24,6 +24,17 @@ from pbcgen.symbolic.tape import Matrix, Tape, exact_decimal
 #: Multiples of an angle or exponent beyond this are kept as separate atoms instead of being expanded.
 _LARGEST_MULTIPLE = 24
 
+#: The work of rewriting a term by a relation between atoms, in terms that are multiplied.
+_TERMS_PER_REDUCTION = 8
+#: Terms that one evaluation of a tape may multiply, and as many more for each of its instructions. What is made of
+#: its results may take as many again.
+_BUDGET = 200_000
+_BUDGET_PER_INSTRUCTION = 100
+
+
+class TooLarge(UnsupportedOperation):
+    """The exact functions grow beyond the budget: nothing is known of the result."""
+
 
 class _Restart(Exception):
     """The field was set up too small; walk again with the corrected settings."""
@@ -47,7 +58,9 @@ class Quotient:
 
     def __add__(self, other: Quotient) -> Quotient:
         if self.denominator == other.denominator:
+            self.field.charge(len(self.numerator) + len(other.numerator))
             return self.field.quotient(self.numerator + other.numerator, self.denominator)
+        self.field.charge(len(self.numerator) * len(other.denominator) + len(self.denominator) * len(other.numerator))
         return self.field.quotient(
             self.numerator * other.denominator + other.numerator * self.denominator,
             self.denominator * other.denominator,
@@ -60,11 +73,13 @@ class Quotient:
         return Quotient(self.field, -self.numerator, self.denominator)
 
     def __mul__(self, other: Quotient) -> Quotient:
+        self.field.charge(len(self.numerator) * len(other.numerator) + len(self.denominator) * len(other.denominator))
         return self.field.quotient(self.numerator * other.numerator, self.denominator * other.denominator)
 
     def __truediv__(self, other: Quotient) -> Quotient:
         if other.is_zero():
             raise ZeroDivisionError("division by the zero function")
+        self.field.charge(len(self.numerator) * len(other.denominator) + len(self.denominator) * len(other.numerator))
         return self.field.quotient(self.numerator * other.denominator, self.denominator * other.numerator)
 
     def __eq__(self, other: object) -> bool:
@@ -131,6 +146,14 @@ class Field:
         self._atom_of: dict[tuple[str, str], int] = {}
         self._squares: dict[int, fmpq_mpoly] = {}
         self.divisors: dict[str, Quotient] = {}
+        self.spent = 0
+        self.limit: int | None = None
+
+    def charge(self, terms: int) -> None:
+        """Count the terms of an operation before it is done. Raises TooLarge beyond the limit."""
+        self.spent += terms
+        if self.limit is not None and self.spent > self.limit:
+            raise TooLarge("the exact functions of the model grow too large to be expanded")
 
     # --- elements -----------------------------------------------------------------------------------------
 
@@ -169,6 +192,7 @@ class Field:
         return polynomial
 
     def _lower_degree(self, polynomial: fmpq_mpoly, generator: int, square: fmpq_mpoly) -> fmpq_mpoly:
+        self.charge(_TERMS_PER_REDUCTION * len(polynomial))
         by_power: dict[int, dict[tuple[int, ...], fmpq]] = {}
         for exponents, coefficient in polynomial.to_dict().items():
             power = int(exponents[generator])
@@ -425,17 +449,23 @@ def evaluate(
 
     Raises:
         UnsupportedOperation: for operations that are not analytic (fabs, if_else, fmin, ...).
+        TooLarge: when the functions grow beyond a budget of terms, which is an UnsupportedOperation too.
         ZeroDivisionError: for a division by the zero function.
     """
     values = values or {}
-    pool, scales = 8, {}  # type: int, dict[tuple[str, str], Fraction]
+    pool, scales, spent = 8, {}, 0  # type: int, dict[tuple[str, str], Fraction], int
+    allowance = _BUDGET + _BUDGET_PER_INSTRUCTION * len(tape.instructions)
     for _ in range(200):
         field = Field(names, pool, scales)
+        field.spent, field.limit = spent, allowance
         symbols = [field.const(values[n]) if n in values else field.symbol(k) for k, n in enumerate(names)]
         try:
-            return field, tape.walk(field, _split(symbols, tape.input_sizes))
+            outputs = tape.walk(field, _split(symbols, tape.input_sizes))
         except _Restart:
-            pool, scales = field.pool, field.scales
+            pool, scales, spent = field.pool, field.scales, field.spent
+            continue
+        field.spent = 0
+        return field, outputs
     raise UnsupportedOperation("the model's transcendental terms have too many incommensurable arguments")
 
 

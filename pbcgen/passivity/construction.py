@@ -1,0 +1,97 @@
+"""What holds of a mechanical system by the way it was written, without expanding anything.
+
+The front end :class:`pbcgen.models.mechanical.Mechanical` writes ``f = F e`` with ``e`` the gradient of
+``H = p^T v / 2 + V``, ``v = M^-1 p``, by formulas that are right for every symmetric M. Here the same formulas are
+written again from the parts, and the two must be the same instructions. That takes a time linear in the size of the
+formulas, where the expansion of M^-1 into rational functions may take hours.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import casadi as ca
+
+from pbcgen.errors import UnsupportedOperation
+from pbcgen.models.affine import AffineSystem, Mechanics
+from pbcgen.models.mechanical import energy_slope
+from pbcgen.symbolic.field import evaluate
+from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, is_finite, precision, rational, reals, sign
+from pbcgen.symbolic.tape import Tape
+
+#: Places of states in their domains, without special meaning.
+WEIGHTS = (Fraction(3, 7), Fraction(5, 11), Fraction(2, 9), Fraction(7, 13), Fraction(4, 17))
+_POINTS = 3
+
+
+def gradient_by_construction(system: AffineSystem) -> bool:
+    """Whether ``energy_gradient`` is grad S because S = p^T M^-1 p / 2 + V, M is symmetric and it is written so."""
+    mechanics = system.mechanical
+    if mechanics is None:
+        return False
+    storage = ca.dot(mechanics.p, mechanics.velocity) / 2 + mechanics.V
+    for inertia in (mechanics.M, None):
+        velocity, gradient = energy_slope(mechanics.q, mechanics.p, mechanics.V, inertia, mechanics.M_inv)
+        written = ca.vertcat(system.S, mechanics.velocity, mechanics.energy_gradient)
+        if _same(system, written, ca.vertcat(storage, velocity, gradient)):
+            given = mechanics.M_inv if inertia is None else inertia
+            return _symmetric(system, given) and not _rounded(system, mechanics)
+    return False
+
+
+def drift_by_construction(system: AffineSystem) -> bool:
+    """Whether f is written as F times ``energy_gradient``."""
+    mechanics, structure = system.mechanical, system.structure
+    if mechanics is None or structure is None or structure.F is None:
+        return False
+    return _same(system, system.f, ca.mtimes(structure.F, mechanics.energy_gradient))
+
+
+def _tape(system: AffineSystem, *outputs: ca.SX) -> Tape:
+    return Tape.of([system.x, system.u, ca.SX(system.parameters.symbols)], outputs)
+
+
+def _same(system: AffineSystem, left: ca.SX, right: ca.SX) -> bool:
+    """Whether two columns are computed by the same instructions."""
+    if left.shape != right.shape:
+        return False
+    a, b = _tape(system, left, right).outputs
+    return a.entries == b.entries
+
+
+def _symmetric(system: AffineSystem, matrix: ca.SX) -> bool:
+    """Whether a matrix is symmetric: as written, or as exact functions."""
+    (positions,) = _tape(system, matrix).outputs
+    if all(positions.entries.get((j, i)) == k for (i, j), k in positions.entries.items()):
+        return True
+    names = (*system.state_names, *system.input_names, *system.parameters.names)
+    try:
+        field, (skew,) = evaluate(_tape(system, matrix - matrix.T), names)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return False
+    return all(entry.is_zero() for row in skew.dense(field.const(0)) for entry in row)
+
+
+def _rounded(system: AffineSystem, mechanics: Mechanics) -> bool:
+    """Whether CasADi has rounded a constant on the way: then the formulas differ, at points in general position."""
+    difference = mechanics.energy_gradient - ca.gradient(system.S, system.x)
+    tape = _tape(system, difference)
+    seen = False
+    for shift in range(_POINTS):
+        point = [general_position(system, k, shift) for k in range(system.n)]
+        parameters = reals([system.parameters.values[name] for name in system.parameters.names])
+        with precision(BITS):
+            values = tape.walk(REAL, [point, [ZERO] * system.m, parameters])[0].column(ZERO)
+        if all(is_finite(v) for v in values):
+            seen = True
+            if any(sign(v) in (1, -1) for v in values):
+                return True
+    return not seen
+
+
+def general_position(system: AffineSystem, k: int, shift: int = 0) -> Real:
+    """A number for state k without special meaning, inside the domain."""
+    lo, hi = system.domain.get(system.state_names[k], (None, None))
+    low = lo if lo is not None else (hi - 1 if hi is not None else Fraction(0))
+    high = hi if hi is not None else low + 1
+    return rational(low + (high - low) * WEIGHTS[(k + shift) % len(WEIGHTS)])
