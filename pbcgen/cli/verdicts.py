@@ -118,7 +118,8 @@ def _description(claims: Sequence[Claim], hints: Iterable[str], place: Place | N
         for claim in claims:
             text.append(f"{claim.claim:{_CLAIM_WIDTH}}", "bold")
             text.append(f"  {claim.domain}\n")
-    text.append(": ".join(part for part in (first.method, first.evidence) if part), "dim")
+    why = ": ".join(part for part in (first.method, first.evidence) if part)
+    text.append(why, "dim" if first.status is Status.PROVED or not_reached(first) else None)
     for hint in hints:
         text.append(f"\nhint: {hint}", "yellow")
     if place is not None:
