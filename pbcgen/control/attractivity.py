@@ -37,6 +37,8 @@ from pbcgen.symbolic.linear import Inconsistent, Row, reduce_rows
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, ball, fraction, precision, rational, sign, text
 from pbcgen.symbolic.tape import Tape, exact_decimal
 
+#: Starts of the search for other equilibria.
+_STARTS = 30
 #: Other equilibria are not searched for in systems with more states.
 _LARGEST_SEARCH = 12
 
@@ -427,7 +429,7 @@ def _second_equilibrium(situation: Situation) -> Claim | None:
 
     star = np.array([approximate(v) for v in (*situation.point.x, *situation.point.u)])
     spread = np.full(n + system.m, 10.0)
-    around = Search(star - spread, star + spread, samples=12)
+    around = Search(star - spread, star + spread, starts=_with_gamma_kept(situation, star), samples=_STARTS)
     tape = Tape.of([*plant.symbols, at_star], [residual, jacobian])
     parameters: list[Real] = [rational(plant.values[name]) for name in plant.parameter_names]
 
@@ -436,7 +438,7 @@ def _second_equilibrium(situation: Situation) -> Claim | None:
         return [row[0] for row in value], slope
 
     with precision(BITS):
-        for zero in find_zeros(evaluate, around):
+        for zero in sorted(find_zeros(evaluate, around), key=lambda z: float(np.linalg.norm(z - star))):
             if np.max(np.abs(zero[:n] - star[:n])) < 1e-6 * (1 + np.max(np.abs(star[:n]))):
                 continue
             centre = polish(in_balls, list(zero))
@@ -446,6 +448,19 @@ def _second_equilibrium(situation: Situation) -> Claim | None:
             ):
                 return _second(situation, balls[:n])
     return None
+
+
+def _with_gamma_kept(situation: Situation, star: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Starts along which gamma stays near gamma*: elsewhere the saturated law is flat, and Newton's method lost."""
+    plant, n = situation.plant, situation.plant.system.n
+    slope = plant.numeric(ca.jacobian(situation.gamma, plant.system.x))(star[:n], star[n:])
+    N = np.array(ca.densify(slope))
+    if not np.all(np.isfinite(N)):
+        return ()
+    keep = np.eye(n) - np.linalg.pinv(N) @ N
+    generator = np.random.default_rng(0)
+    moves = generator.uniform(-7.0, 7.0, (_STARTS, n)) @ keep
+    return tuple(star + np.concatenate([move, np.zeros(len(star) - n)]) for move in moves)
 
 
 def _rest_equations(situation: Situation, u_star: ca.SX, gamma_star: ca.SX) -> ca.SX:

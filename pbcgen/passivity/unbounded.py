@@ -2,8 +2,9 @@
 
 The terms in ln cosh grow like alpha_i |gamma_i|, and minimising over x_c takes only a constant from that. So with
 affine gamma the storage is radially unbounded if S is a positive semidefinite quadratic form plus bounded terms, and on
-the kernel of that form ``sum alpha_i |gamma_i'v| > |(kappa^T gamma' + c) v|`` for the linear part c of S. Circuits have
-``S = w^T Xi w / 2`` with w = grad P; there it suffices that x -> w has a continuous inverse.
+the kernel of that form ``sum alpha_i |gamma_i'v| > |(kappa^T gamma' + c) v|`` for the linear part c of S. Beside a
+definite form there may be terms that grow linearly. Circuits have ``S = w^T Xi w / 2`` with w = grad P and gamma linear
+in w; there it suffices that x -> w has a continuous inverse.
 """
 
 from __future__ import annotations
@@ -48,13 +49,17 @@ def radially_unbounded(
 
 
 def _circuit(plant: Plant, gamma: ca.SX) -> bool:
-    """Whether x -> w = grad P is solved for x one coordinate at a time, each linear with a constant coefficient."""
+    """Whether x -> w = grad P is solved for x one coordinate at a time, each linear with a constant coefficient.
+
+    gamma must be ``-g_tilde^T Xi w``, which no quadratic form of w is outgrown by.
+    """
     circuit = plant.system.circuit
-    if circuit is None or ca.depends_on(circuit.Xi, plant.system.x):
+    if circuit is None or ca.depends_on(circuit.Xi, plant.system.x) or ca.depends_on(circuit.g_tilde, plant.system.x):
         return False
-    field, (w, weight) = plant.exact(circuit.P_gradient, circuit.Xi)
+    other = gamma + ca.mtimes(circuit.g_tilde.T, ca.mtimes(circuit.Xi, circuit.P_gradient))
+    field, (w, weight, difference) = plant.exact(circuit.P_gradient, circuit.Xi, other)
     zero = field.const(0)
-    if not definite(weight.dense(zero)):
+    if not definite(weight.dense(zero)) or any(entry.constant() is None for entry in difference.column(zero)):
         return False
     equations = w.column(zero)
     left = set(range(plant.system.n))
@@ -102,8 +107,10 @@ def _quadratic(
         return Growth(False, "gamma is not affine, so its growth is not known")
     split = _split(value.scalar(zero), variables, system.n)
     if split is None:
-        return Growth(False, "S is not a quadratic form plus bounded terms")
-    form, linear = split
+        return Growth(False, "S is not a quadratic form plus terms of less growth")
+    form, linear, small = split
+    if not small and _kernel(form):
+        return Growth(False, "S has terms beside its quadratic form that grow, and the form is not definite")
     if positive_semidefinite(form).status is not Status.PROVED:
         return Growth(False, "the quadratic part of S is not positive semidefinite")
     gammas = [[row[k] or fmpq(0) for k in variables] for row in rows]
@@ -123,14 +130,18 @@ def _kinetic(plant: Plant) -> str:
     return ""
 
 
-def _split(value: Quotient, variables: Sequence[int], states: int) -> tuple[RealMatrix, list[fmpq]] | None:
-    """The quadratic form and the linear part of S; the other terms must be bounded or nonnegative."""
+def _split(value: Quotient, variables: Sequence[int], states: int) -> tuple[RealMatrix, list[fmpq], bool] | None:
+    """The quadratic form and the linear part of S, and whether the other terms are all bounded or nonnegative.
+
+    None if one of them may grow faster than linearly.
+    """
     if not value.is_polynomial():
         return None
     field: Field = value.field
     size = len(variables)
     form: RealMatrix = [[ZERO] * size for _ in range(size)]
     linear = [fmpq(0)] * size
+    small = True
     position = {k: i for i, k in enumerate(variables)}
     for exponents, coefficient in value.numerator.to_dict().items():
         used = [k for k, e in enumerate(exponents) for _ in range(int(e))]
@@ -145,9 +156,14 @@ def _split(value: Quotient, variables: Sequence[int], states: int) -> tuple[Real
                 linear[places[0]] += coefficient
         else:
             term = field.polynomial(field.context.from_dict({exponents: coefficient}))
-            if term_bounds(term, {}).hi is None and not nonnegative(term):
+            if term_bounds(term, {}).hi is not None or nonnegative(term):
+                continue
+            factor = {k: int(e) if k >= field.symbol_count else 0 for k, e in enumerate(exponents)}
+            bounded = field.polynomial(field.context.from_dict({tuple(factor.values()): coefficient}))
+            if len(symbols) > 1 or term_bounds(bounded, {}).hi is None:
                 return None
-    return form, linear
+            small = False
+    return form, linear, small
 
 
 def _on_kernel(

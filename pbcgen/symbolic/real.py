@@ -141,7 +141,7 @@ def approximate(value: Real) -> float:
 def text(value: Real, digits: int = 12) -> str:
     """The number for a human reader: exact if it is short, as a decimal or as p/q; else rounded."""
     if isinstance(value, arb):
-        return f"{approximate(value):.{digits}g}" if value.is_finite() else "undefined"
+        return f"{approximate(value) or 0.0:.{digits}g}" if value.is_finite() else "undefined"
     shown = f"{float(fraction(value)):.{digits}g}"
     return shown if Fraction(shown) == fraction(value) or len(str(value)) > max(digits, 7) else str(value)
 
