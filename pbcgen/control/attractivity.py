@@ -19,8 +19,9 @@ import numpy as np
 from flint import fmpq
 from numpy.typing import NDArray
 
+from pbcgen.control.family import LoopFamily
 from pbcgen.control.graph import exact_inverse
-from pbcgen.control.linearisation import ClosedLoopSlope
+from pbcgen.control.transition import LinearLoop
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
@@ -55,7 +56,7 @@ class Situation:
         gamma: m x 1. eta: s x 1 or None.
         structure: a power structure that proves Assumption 1 and matches gamma, or None.
         bounds: of Assumption 3, for natural damping.
-        loop: the linearised closed loop.
+        family, loop: the linearised closed loop, for other gains and for these.
         found: the claims so far.
     """
 
@@ -66,7 +67,8 @@ class Situation:
     eta: ca.SX | None
     structure: PowerStructure | None
     bounds: NaturalDampingBounds | None
-    loop: ClosedLoopSlope
+    family: LoopFamily
+    loop: LinearLoop
     found: Mapping[str, Claim]
 
     @property

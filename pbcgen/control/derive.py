@@ -13,9 +13,9 @@ import numpy as np
 
 from pbcgen.control.attractivity import Situation
 from pbcgen.control.closed_loop import ClosedLoop
+from pbcgen.control.family import LoopFamily
 from pbcgen.control.graph import Interface, LawGraph, Needs, build, control_law, needs
 from pbcgen.control.law import ControlLaw, Precision, Signal
-from pbcgen.control.linearisation import ClosedLoopSlope
 from pbcgen.control.measure import Measurement
 from pbcgen.control.sampled import Sampling
 from pbcgen.control.saturation import saturation
@@ -303,8 +303,7 @@ class _AtTarget:
         if read.missing or lacks_eta:
             return numbers
         self.graph = build(self.law, measurement, self.point, read)
-        loop = ClosedLoopSlope.of(self.plant, self.point, self.graph)
-        situation = self.situation = self._situation(loop, stages)
+        situation = self.situation = self._situation(stages)
         verdicts: StabilityVerdicts = stages.run(
             "stability", lambda: stability(situation, self.design.sample_period, self.sampling)
         )
@@ -318,8 +317,9 @@ class _AtTarget:
         numbers["state_names"] = list(system.state_names)
         return numbers
 
-    def _situation(self, loop: ClosedLoopSlope, stages: _Stages) -> Situation:
+    def _situation(self, stages: _Stages) -> Situation:
         assert self.output is not None
+        family = LoopFamily.of(self.plant, self.point, self.output.gamma, self.eta)
         return Situation(
             self.plant,
             self.point,
@@ -328,7 +328,8 @@ class _AtTarget:
             self.eta,
             self._structure(),
             self.bounds,
-            loop,
+            family,
+            family.loop(self.law),
             stages.claims,
         )
 

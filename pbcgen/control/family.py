@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from pbcgen.control.scan import LinearLoop
+from pbcgen.control.transition import LinearLoop
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.plant import Plant, Point

@@ -1,11 +1,10 @@
 """Sample periods scanned with proof: where the linearised sampled loop is stable for every h, not at grid points only.
 
-The loop over one period h is ``z+ = M(h) z`` with the plant under an exact zero-order hold, the controller stepped by
-backward Euler and, if wanted, its output delayed. M is analytic in h, and a jet encloses M, M' and M''/2 on a whole
-cell of periods. On a cell ``h = c + delta``, ``|delta| <= r``, in the coordinates of the eigenvectors of M(c) and
-after the first-order similarity ``I + delta X`` that follows them, M is ``D + delta L`` (diagonal) plus a rest of
-second order in r. If the weighted row sums of ``|D + delta L| + rest`` stay below one, every M(h) of the cell is a
-contraction in one weighted maximum norm: that is the certificate of a cell, checked in ball arithmetic.
+The transition M(h) of the loop over one period is analytic in h. On a cell ``h = c + delta``, ``|delta| <= r``, in the
+coordinates of the eigenvectors of M(c) and after the first-order similarity ``I + delta X`` that follows them, M is
+``D + delta L`` (diagonal) plus a rest of second order in r. If the weighted row sums of ``|D + delta L| + rest`` stay
+below one, every M(h) of the cell is a contraction in one weighted maximum norm: that is the certificate of a cell,
+checked in ball arithmetic.
 
 Cells that overlap from h = 0 on prove stability up to the end of the last one. There is no sampling in between, so
 windows of instability cannot be missed.
@@ -14,59 +13,21 @@ windows of instability cannot be missed.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 from flint import acb, acb_mat, arb, arb_mat
-from numpy.typing import NDArray
 
-from pbcgen.passivity.shaping import add, multiply
+from pbcgen.control.transition import LinearLoop, Transition, diagonalise, entries, midpoints
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix
-from pbcgen.symbolic.real import BITS, ball, enclose, in_high_precision, precision, rational
+from pbcgen.symbolic.real import ball, enclose, in_high_precision, precision, rational
 
 #: Bits of the balls of a scan; the decision at a single period uses more.
 SCAN_BITS = 224
 
-#: Residual of an approximate diagonalisation, relative to the matrix, above which it is not used.
-_DIAGONAL = 1e-20
-
 #: A cell narrower than this, relative to its period, ends the scan.
 NARROWEST = 1e-7
-
-
-@dataclass(frozen=True)
-class LinearLoop:
-    """Plant and law linearised at x*.
-
-    ``x' = A x + B u``, ``m = H x``, ``xi' = r_m m + r_xi xi`` and ``u = u_m m + u_xi xi``. Every law steps its states
-    by backward Euler at the target: ``xi+ = (I - h r_xi)^{-1} (xi + h r_m m)`` and ``u = u_m m + u_xi xi+``. A law
-    without states has empty r and u_xi.
-    """
-
-    A: RealMatrix
-    B: RealMatrix
-    H: RealMatrix
-    r_m: RealMatrix
-    r_xi: RealMatrix
-    u_m: RealMatrix
-    u_xi: RealMatrix
-
-    @property
-    def sizes(self) -> tuple[int, int, int]:
-        """(n, number of controller states, m)."""
-        return len(self.A), len(self.r_xi), len(self.B[0])
-
-    def continuous(self) -> RealMatrix:
-        """The Jacobian of the continuous loop in (x, xi)."""
-        with precision(BITS):
-            pull = multiply(multiply(self.B, self.u_m), self.H)
-            if not self.r_xi:
-                return add(self.A, pull)
-            top = [[*a, *b] for a, b in zip(add(self.A, pull), multiply(self.B, self.u_xi), strict=True)]
-            return [*top, *([*a, *b] for a, b in zip(multiply(self.r_m, self.H), self.r_xi, strict=True))]
 
 
 @dataclass(frozen=True)
@@ -92,308 +53,12 @@ class Scan:
     exhausted: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class _Jet:
-    """Taylor coefficients of a matrix function of h: value, first derivative, half the second one."""
-
-    c0: acb_mat
-    c1: acb_mat
-    c2: acb_mat
-
-    def __matmul__(self, other: _Jet) -> _Jet:
-        return _Jet(
-            self.c0 * other.c0,
-            self.c0 * other.c1 + self.c1 * other.c0,
-            self.c0 * other.c2 + self.c1 * other.c1 + self.c2 * other.c0,
-        )
-
-    def __add__(self, other: _Jet) -> _Jet:
-        return _Jet(self.c0 + other.c0, self.c1 + other.c1, self.c2 + other.c2)
-
-    def __sub__(self, other: _Jet) -> _Jet:
-        return _Jet(self.c0 - other.c0, self.c1 - other.c1, self.c2 - other.c2)
-
-    def times(self, right: acb_mat) -> _Jet:
-        return _Jet(self.c0 * right, self.c1 * right, self.c2 * right)
-
-    def after(self, left: acb_mat) -> _Jet:
-        return _Jet(left * self.c0, left * self.c1, left * self.c2)
-
-    def plus(self, constant: acb_mat) -> _Jet:
-        return _Jet(self.c0 + constant, self.c1, self.c2)
-
-
-def _complex(matrix: RealMatrix, rows: int, columns: int) -> acb_mat:
-    return acb_mat(rows, columns, [acb(ball(entry)) for row in matrix for entry in row])
-
-
-def _identity(size: int) -> acb_mat:
-    return acb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
-
-
-def _entries(matrix: acb_mat) -> Iterator[tuple[int, int, acb]]:
-    for i in range(matrix.nrows()):
-        for j in range(matrix.ncols()):
-            yield i, j, matrix[i, j]
-
-
-def _midpoints(matrix: acb_mat) -> acb_mat:
-    return acb_mat(matrix.nrows(), matrix.ncols(), [v.mid() for _, _, v in _entries(matrix)])
-
-
-def _largest(matrix: acb_mat) -> arb:
-    """An upper bound of the maximum norm (largest row sum)."""
-    rows = [sum((matrix[i, j].abs_upper() for j in range(matrix.ncols())), arb(0)) for i in range(matrix.nrows())]
-    return max(rows, default=arb(0))
-
-
-class _Basis:
-    """A matrix A in coordinates in which it is nearly diagonal: ``V^{-1} A V = diag(d) + rest``.
-
-    Where no such coordinates exist (A defective) V = I and functions of A are evaluated as matrix functions.
-    """
-
-    def __init__(self, A: acb_mat) -> None:
-        size = A.nrows()
-        self.V = self.inverse = _identity(size)
-        self.matrix, self.values = A, None  # type: acb_mat, list[acb] | None
-        self.error = arb(0)
-        found = _diagonalise(A) if size else None
-        if found is not None:
-            self.V, self.inverse, self.matrix, self.values, self.error = found
-
-    def exponential(self, t: arb) -> tuple[acb_mat, acb_mat]:
-        """Enclosures of ``e^{A t}`` and ``int_0^t e^{A s} ds`` in these coordinates, t >= 0."""
-        size = self.matrix.nrows()
-        if self.values is None:
-            block = [
-                [self.matrix[i, j] * t for j in range(size)] + [t * int(i == j) for j in range(size)]
-                for i in range(size)
-            ]
-            flat = [v for row in block for v in row] + [acb(0)] * (2 * size * size)
-            whole = acb_mat(2 * size, 2 * size, flat).exp()
-            return (
-                acb_mat(size, size, [whole[i, j] for i in range(size) for j in range(size)]),
-                acb_mat(size, size, [whole[i, size + j] for i in range(size) for j in range(size)]),
-            )
-        # e^{(D + rest) t} and e^{D t} differ by at most e^{t (mu + |rest|)} - e^{t mu}, mu = max Re d.
-        longest = t.upper()
-        mu = max((v.real.upper() for v in self.values), default=arb(0))
-        spread = ((longest * (mu + self.error)).exp() - (longest * mu).exp()).abs_upper()
-        halo, halo_integral = _disc(spread), _disc(spread * longest)
-        e = [[(v * t).exp() if i == j else acb(0) for j in range(size)] for i, v in enumerate(self.values)]
-        g = [[_integral(v, t) if i == j else acb(0) for j in range(size)] for i, v in enumerate(self.values)]
-        return (
-            acb_mat(size, size, [v + halo for row in e for v in row]),
-            acb_mat(size, size, [v + halo_integral for row in g for v in row]),
-        )
-
-    def resolvent(self, h: arb) -> acb_mat:
-        """An enclosure of ``(I - h A)^{-1}`` in these coordinates. Raises ZeroDivisionError if it may not exist."""
-        size = self.matrix.nrows()
-        if self.values is None:
-            return (_identity(size) - self.matrix * acb(h)).inv()
-        e = [1 / (1 - v * h) for v in self.values]
-        largest = max((v.abs_upper() for v in e), default=arb(0))
-        factor = h.abs_upper() * self.error * largest
-        if not factor < 1:
-            raise ZeroDivisionError
-        halo = _disc((largest * factor / (1 - factor)).abs_upper())
-        return acb_mat(size, size, [(e[i] if i == j else acb(0)) + halo for i in range(size) for j in range(size)])
-
-
-def _disc(radius: arb) -> acb:
-    """The complex numbers of at most this modulus, in a square."""
-    side = arb(0, radius.upper())
-    return acb(side, side)
-
-
-def _integral(v: acb, t: arb) -> acb:
-    """``(e^{v t} - 1) / v``, also around v = 0 and t = 0."""
-    z = v * t
-    if z.abs_upper() < 1:
-        total, term = acb(0), acb(1)
-        for k in range(1, 60):
-            total, term = total + term, term * z / (k + 1)
-        # The terms that are left sum to less than twice the last one.
-        return (total + _disc(2 * term.abs_upper())) * t
-    return (z.exp() - 1) / v
-
-
-def _diagonalise(A: acb_mat) -> tuple[acb_mat, acb_mat, acb_mat, list[acb], arb] | None:
-    size = A.nrows()
-    try:
-        _, V = _midpoints(A).eig(right=True, algorithm="approx")
-        V = _midpoints(V)
-        inverse = V.inv()
-        matrix = inverse * A * V
-    except (ValueError, ZeroDivisionError):
-        return None
-    values = [matrix[i, i] for i in range(size)]
-    rest = matrix - acb_mat(size, size, [values[i] if i == j else 0 for i in range(size) for j in range(size)])
-    error = _largest(rest)
-    scale = max((v.abs_upper() for v in values), default=arb(0))
-    if not error.is_finite() or not error <= arb(_DIAGONAL) * (1 + scale):
-        return None
-    return V, inverse, matrix, values, error
-
-
-class Transition:
-    """M(h) of a loop with an input delay, as jets.
-
-    The state is (x, xi, the past inputs that still act), x and xi in the eigenvector coordinates of A and r_xi. With
-    ``steps`` only the plant's period varies: the controller was generated for this one.
-    """
-
-    def __init__(
-        self,
-        loop: LinearLoop,
-        delay: Fraction = Fraction(0),
-        plant: _Basis | None = None,
-        steps: Fraction | None = None,
-    ) -> None:
-        n, k, m = loop.sizes
-        nm = len(loop.H)
-        self.n, self.k, self.m = n, k, m
-        self.whole, self.part = divmod(delay, 1)
-        self.memory = int(self.whole) + (1 if self.part else 0)
-        self.delay = delay
-        self.steps = steps
-        self.plant = plant or _Basis(_complex(loop.A, n, n))
-        self.filter = _Basis(_complex(loop.r_xi, k, k))
-        H = _complex(loop.H, nm, n) * self.plant.V
-        self.B = self.plant.inverse * _complex(loop.B, n, m)
-        self.u_x = _complex(loop.u_m, m, nm) * H
-        self.u_xi = _complex(loop.u_xi, m, k) * self.filter.V
-        self.drive = self.filter.inverse * _complex(loop.r_m, k, nm) * H
-
-    @property
-    def size(self) -> int:
-        """The number of states of the sampled loop."""
-        return self.n + self.k + self.memory * self.m
-
-    def jet(self, h: arb) -> _Jet:
-        """M, M' and M''/2, enclosed for every period in the ball h."""
-        own = h if self.steps is None else ball(rational(self.steps))
-        E = self.filter.resolvent(own)
-        r = self.filter.matrix
-        zero = acb_mat(self.k, self.k, [0] * self.k**2)
-        rE = r * E if self.k else zero
-        step = _Jet(E, rE * E, rE * rE * E) if self.k else _Jet(zero, zero, zero)
-        held = _Jet(E * acb(own), E * E, rE * E * E) if self.k else step
-        if self.steps is not None and self.k:
-            step, held = _Jet(E, zero, zero), _Jet(E * acb(own), zero, zero)
-        xi_x = held.times(self.drive)
-        u_x, u_xi = xi_x.after(self.u_xi).plus(self.u_x), step.after(self.u_xi)
-        e, first = self._hold(h, Fraction(1))
-        if self.part:
-            _, late = self._hold(h, 1 - self.part)
-            pushes = [late, first - late]
-        else:
-            pushes = [first]
-        return self._assemble(e, pushes, xi_x, step, u_x, u_xi)
-
-    def _hold(self, h: arb, share: Fraction) -> tuple[_Jet, _Jet]:
-        """Jets of ``e^{A s h}`` and ``int_0^{s h} e^{A t} dt B``, s the share."""
-        s = ball(rational(share))
-        e, g = self.plant.exponential(h * s)
-        A = self.plant.matrix
-        Ae = A * e
-        return (
-            _Jet(e, Ae * acb(s), A * Ae * acb(s * s / 2)),
-            _Jet(g * self.B, e * self.B * acb(s), Ae * self.B * acb(s * s / 2)),
-        )
-
-    def _assemble(self, e: _Jet, pushes: list[_Jet], xi_x: _Jet, xi_xi: _Jet, u_x: _Jet, u_xi: _Jet) -> _Jet:
-        """Blocks in the order x, xi, past inputs; push number j acts with the input of ``whole + j`` samples ago."""
-        now = not self.whole
-        x_x = e + pushes[0] @ u_x if now else e
-        x_xi = pushes[0] @ u_xi if now else None
-        acting = {int(self.whole) + j: push for j, push in enumerate(pushes)}
-        coefficients = []
-        for c in ("c0", "c1", "c2"):
-            M = acb_mat(self.size, self.size, [0] * self.size**2)
-            _place(M, getattr(x_x, c), 0, 0)
-            if x_xi is not None:
-                _place(M, getattr(x_xi, c), 0, self.n)
-            for j, push in acting.items():
-                if j:
-                    _place(M, getattr(push, c), 0, self.n + self.k + (j - 1) * self.m)
-            _place(M, getattr(xi_x, c), self.n, 0)
-            _place(M, getattr(xi_xi, c), self.n, self.n)
-            if self.memory:
-                _place(M, getattr(u_x, c), self.n + self.k, 0)
-                _place(M, getattr(u_xi, c), self.n + self.k, self.n)
-                if c == "c0":
-                    shift = (self.memory - 1) * self.m
-                    _place(M, _identity(shift), self.n + self.k + self.m, self.n + self.k)
-            coefficients.append(M)
-        return _Jet(*coefficients)
-
-
-def _place(target: acb_mat, block: acb_mat, row: int, column: int) -> None:
-    for i, j, value in _entries(block):
-        target[row + i, column + j] = value
-
-
-@dataclass(frozen=True)
-class Figures:
-    """Eigenvalues of a loop in a nutshell, rounded: no proof, but no artefacts of double precision either.
-
-    Attributes:
-        abscissa: the largest real part of the continuous loop, 1/s.
-        radius: the larger of the spectral radii at h and at a multiple of it.
-        damping: the least damping ratio of the modes of the sampled loop at h.
-    """
-
-    abscissa: float
-    radius: float
-    damping: float
-
-
-class Spectrum:
-    """Eigenvalues of many loops around one plant, with 40 digits."""
-
-    _BITS = 140
-
-    def __init__(self, A: RealMatrix, B: RealMatrix) -> None:
-        with precision(self._BITS):
-            self._plant = _Basis(_complex(A, len(A), len(A)))
-
-    def figures(self, loop: LinearLoop, h: Fraction, margin: Fraction) -> Figures | None:
-        """The figures at h, the radius also at ``margin`` times h; None where they could not be computed."""
-        with precision(self._BITS):
-            try:
-                transition = Transition(loop, plant=self._plant)
-                values = _midpoints(transition.jet(ball(rational(h))).c0).eig(algorithm="approx")
-                longer = [] if margin == 1 else _midpoints(transition.jet(ball(rational(h * margin))).c0).eig(
-                    algorithm="approx"
-                )  # fmt: skip
-                slow = _midpoints(transition.jet(arb(0)).c1).eig(algorithm="approx")
-            except (ValueError, ZeroDivisionError):
-                return None
-            radius = max(float(v.abs_upper()) for v in [*values, *longer])
-            abscissa = max(float(v.real.mid()) for v in slow)
-            rates = [v.log() for v in values if v.abs_lower() > 1e-12]
-            damping = min(
-                (-float(s.real.mid()) / float(s.abs_upper()) for s in rates if s.abs_lower() > 0), default=1.0
-            )
-        if not (math.isfinite(radius) and math.isfinite(abscissa)):
-            return None
-        return Figures(abscissa, radius, damping)
-
-
 # --- cells -------------------------------------------------------------------------------------------------------
-
-
-def _floats(matrix: acb_mat) -> NDArray[np.complex128]:
-    size = matrix.nrows(), matrix.ncols()
-    return np.array([complex(float(v.real.mid()), float(v.imag.mid())) for _, _, v in _entries(matrix)]).reshape(size)
 
 
 def _absolute(matrix: acb_mat) -> arb_mat:
     """Upper bounds of the moduli of the entries."""
-    return arb_mat(matrix.nrows(), matrix.ncols(), [v.abs_upper() for _, _, v in _entries(matrix)])
+    return arb_mat(matrix.nrows(), matrix.ncols(), [v.abs_upper() for _, _, v in entries(matrix)])
 
 
 def _contracts(gaps: list[arb], rest: arb_mat) -> bool:
@@ -419,7 +84,7 @@ def _first_cell(transition: Transition, continuous: acb_mat, end: arb) -> bool:
 
     With ``M = I + h (J + h M''/2)``, J the continuous loop, and ``|1 + h mu| <= 1 + h Re mu + h^2 |mu|^2 / 2``.
     """
-    found = _diagonalise(continuous)
+    found = diagonalise(continuous)
     if found is None:
         return False
     V, inverse, _, values, error = found
@@ -441,8 +106,8 @@ def _cell(transition: Transition, centre: arb, r: arb, span: arb) -> bool:
     size = transition.size
     jet = transition.jet(centre)
     try:
-        _, V = _midpoints(jet.c0).eig(right=True, algorithm="approx")
-        V = _midpoints(V)
+        _, V = midpoints(jet.c0).eig(right=True, algorithm="approx")
+        V = midpoints(V)
         inverse = V.inv()
         curve = transition.jet(span).c2
     except (ValueError, ZeroDivisionError):
@@ -472,16 +137,16 @@ def _following(N0: acb_mat, N1: acb_mat, r: float) -> acb_mat:
     """X with ``N1 + D X - X D`` diagonal, as far as the eigenvalues are apart: exact numbers, zero elsewhere."""
     size = N0.nrows()
     values = [N0[i, i].mid() for i in range(size)]
-    entries = []
-    for i, j, slope in _entries(N1):
+    turns = []
+    for i, j, slope in entries(N1):
         difference = values[j] - values[i]
         if i == j or not difference.abs_lower() > 0:
-            entries.append(acb(0))
+            turns.append(acb(0))
             continue
         x = (slope.mid() / difference).mid()
         turn = (x * (N1[j, i].mid() / difference)).abs_upper()
-        entries.append(x if float(turn.mid()) * r * r < 0.09 else acb(0))
-    return acb_mat(size, size, entries)
+        turns.append(x if float(turn.mid()) * r * r < 0.09 else acb(0))
+    return acb_mat(size, size, turns)
 
 
 def _real_identity(size: int) -> arb_mat:

@@ -42,8 +42,8 @@ def lyapunov_premises(law: Law) -> tuple[str, ...]:
 
 def stability(situation: Situation, h: Fraction, sampling: Sampling | None = None) -> StabilityVerdicts:
     """Decide `stable`, `asymptotically-stable`, `globally-asymptotically-stable` and `sampled-stable`."""
-    loop, law, found = situation.loop, situation.law, situation.found
-    continuous = hurwitz(loop.continuous())
+    law, found = situation.law, situation.found
+    continuous = hurwitz(situation.loop.continuous())
     premises = lyapunov_premises(law)
     missing = [name for name in premises if found[name].status is not Status.PROVED]
     by_lyapunov = bool(premises) and not missing
@@ -52,7 +52,13 @@ def stability(situation: Situation, h: Fraction, sampling: Sampling | None = Non
     if overall.status is Status.PROVED and asymptotic.status is Status.UNDECIDED:
         asymptotic = replace(overall, claim="asymptotically-stable", domain="near x*")
     sampled, routes = decide(
-        situation, h, missing if premises else ["the whole route"], asymptotic, overall, sampling or Sampling()
+        situation,
+        h,
+        missing if premises else ["the whole route"],
+        continuous,
+        asymptotic,
+        overall,
+        sampling or Sampling(),
     )
     claims = (_stable(continuous, by_lyapunov, premises, missing), asymptotic, overall, sampled)
     return StabilityVerdicts(claims, continuous.extreme, routes.spectral.extreme, routes.largest, routes.figures)

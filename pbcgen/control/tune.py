@@ -25,10 +25,11 @@ from pbcgen.control.amplitudes import Room, blocking, largest_amplitudes, rooms
 from pbcgen.control.attraction import region_of_attraction
 from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.family import LoopFamily
+from pbcgen.control.linearisation import Figures, Spectrum, spectral
+from pbcgen.control.lyapunov_period import LyapunovPeriods, lyapunov_periods
 from pbcgen.control.region import Region, certified_region
-from pbcgen.control.sampled import LyapunovPeriods, Sampling, lyapunov_periods, transition_matrix
+from pbcgen.control.sampled import Sampling
 from pbcgen.control.saturation import offsets
-from pbcgen.control.scan import Figures, Spectrum
 from pbcgen.control.stability import LYAPUNOV
 from pbcgen.control.trial import Response, Trial, entries, response
 from pbcgen.errors import ModelError, NotProved
@@ -42,7 +43,6 @@ from pbcgen.passivity.storage import assumption_1
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import EMISSION_CLAIMS, Claim, Status
 from pbcgen.proof.definite import positive_definite
-from pbcgen.proof.spectrum import schur
 from pbcgen.symbolic.real import approximate, rational
 
 Route = Literal["lyapunov", "linearisation"]
@@ -234,7 +234,7 @@ class _Problem:
         storage = assumption_1(plant)
         compensated = isinstance(_base(law), PotentialCompensation)
         trial = Trial(plant, point, found.gamma, found.eta, design, law)
-        spectrum = Spectrum(family.A, family.B)
+        spectrum = Spectrum(family.A)
         shape = shape_at(plant, point, found.gamma, compensated)
         structure = storage.structure if storage.proved else None
         duration = float(design.duration) if wish.settling is None else max(4 * wish.settling, 20 * _h(design))
@@ -676,7 +676,7 @@ def _failed(problem: _Problem, route: Route, derived: Derivation) -> str | None:
     periods = problem.lyapunov_periods(derived.law)
     if route == "lyapunov" and periods.largest is not None and longer < periods.largest:
         return None
-    if schur(transition_matrix(problem.family.loop(derived.law), longer)).status is not Status.PROVED:
+    if spectral(problem.family.loop(derived.law), longer).status is not Status.PROVED:
         return f"the margin: stability at {float(longer):.4g} s is not proved"
     return None
 

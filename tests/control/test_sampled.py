@@ -5,13 +5,17 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from pbcgen import Design, DynamicExtension, Limits, Mechanical, ModelError, NaturalDamping, pipeline
 from pbcgen.control.derive import derive
 from pbcgen.control.family import LoopFamily
-from pbcgen.control.linearisation import ClosedLoopSlope
-from pbcgen.control.sampled import Sampling, gain_change, jitter, scaled, transition_matrix
-from pbcgen.control.scan import LinearLoop, Transition, scan
+from pbcgen.control.gain_change import gain_change, scaled
+from pbcgen.control.jitter import jitter
+from pbcgen.control.linearisation import delayed_matrix, period_matrix
+from pbcgen.control.sampled import Sampling, radius_text
+from pbcgen.control.scan import scan
+from pbcgen.control.transition import LinearLoop, Transition
 from pbcgen.control.trial import Trial
 from pbcgen.examples import path
 from pbcgen.models.loader import load
@@ -64,7 +68,7 @@ def figures(design):
 def rlc():
     design = load("rlc")
     found = derive(design)
-    return design, ClosedLoopSlope.of(found.plant, found.point, found.graph).linear()
+    return design, found.situation.loop
 
 
 def test_coupling_device_bound_is_four_over_forty_five():
@@ -126,14 +130,79 @@ def test_the_storage_falls_below_the_bound_and_grows_far_beyond_it():
     assert np.any(np.diff(storage_run(design, "0.08", 60)) > 1e-6)
 
 
-def test_family_is_the_linearised_law():
-    for name in ("coupling_device", "pera_integral"):
-        found = derive(load(name))
-        exact = ClosedLoopSlope.of(found.plant, found.point, found.graph).linear().continuous()
-        family = LoopFamily.of(found.plant, found.point, found.gamma, found.eta).loop(found.law).continuous()
-        for row, other in zip(exact, family, strict=True):
-            for a, b in zip(row, other, strict=True):
-                assert float(ball(a).mid()) == pytest.approx(float(ball(b).mid()), rel=1e-12, abs=1e-12)
+def step_of_the_graph(found, h):
+    """M(h) from the formulas that the C is written from, in double precision."""
+    graph, system = found.graph, found.design.system
+    discrete = graph.discretise(h)
+    symbols = [graph.m, graph.xi, graph.t]
+    parts = graph.rounded(discrete.N, discrete.c, discrete.next_state, discrete.output)
+    slopes = [ca.jacobian(part, symbol) for part in parts[1:] for symbol in symbols]
+    measured = np.array(found.loop.measure(found.loop.x_star)).ravel()
+    at_target = ca.Function("slopes", symbols, [parts[0], *slopes])
+    zeros = [np.zeros(symbol.numel()) for symbol in symbols[1:]]
+    N, c_m, c_xi, _, x_m, x_xi, x_t, u_m, u_xi, u_t = (np.array(v) for v in at_target(measured, *zeros))
+    solve = np.linalg.inv(np.eye(len(N)) + N)
+    x_m, x_xi = x_m + x_t @ solve @ c_m, x_xi + x_t @ solve @ c_xi
+    u_m, u_xi = u_m + u_t @ solve @ c_m, u_xi + u_t @ solve @ c_xi
+    x, u = system.x, system.u
+    slope = ca.Function("plant", [x, u], [ca.jacobian(found.loop.plant(x, u), v) for v in (x, u)])
+    A, B = (np.array(v) for v in slope(found.loop.x_star, found.loop.u_star))
+    H = np.array(ca.Function("sensors", [x], [ca.jacobian(found.loop.measure(x), x)])(found.loop.x_star))
+    n, m = B.shape
+    hold = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * float(h))
+    Ad, Bd = hold[:n, :n], hold[:n, n:]
+    return np.block([[Ad + Bd @ u_m @ H, Bd @ u_xi], [x_m @ H, x_xi]])
+
+
+@pytest.mark.parametrize("model", ["coupling_device", "pera_integral", "two_masses"])
+def test_the_analysed_step_is_the_step_that_is_emitted(model):
+    full = two_masses([[7, 2], [2, 9]], [[3, 1], [1, 2]])
+    found = derive(full if model == "two_masses" else load(model))
+    h = found.design.sample_period
+    exact = np.array([[float(ball(v).mid()) for v in row] for row in period_matrix(found.situation.loop, h)])
+    emitted = step_of_the_graph(found, h)
+    assert np.allclose(exact, emitted, rtol=1e-9, atol=1e-9 * np.max(np.abs(emitted)))
+
+
+def test_gains_beyond_double_precision_are_linearised_exactly():
+    # alpha beta K_c is lost in a product of doubles: rounded, the loop would have an eigenvalue of +1.8e7
+    design = two_masses(7, 3).with_(law=DynamicExtension(alpha=4, beta="1e30", K_c=7, R_c=3))
+    found = claims(design)
+    assert found["asymptotically-stable"].status is Status.PROVED
+    assert "-0.84" in found["asymptotically-stable"].evidence
+
+
+def test_a_period_beyond_all_numbers_is_refused_with_the_largest_that_is_proved():
+    design = load("elastic_pendulum").with_(sample_period="1e6")
+    claim = claims(design)["sampled-stable"]
+    assert claim.status is Status.UNDECIDED
+    assert "spectral radius unknown" in claim.evidence
+    assert "sample at h = 0.0258 s or faster" in claim.hint
+
+
+def test_an_unstable_loop_has_no_largest_sample_period():
+    design = load("elastic_pendulum").with_(law=DynamicExtension(alpha=3, beta="0.1", K_c=12, R_c=1))
+    found = derive(design)
+    claim = {c.claim: c for c in found.claims}["sampled-stable"]
+    assert claim.status is Status.REFUTED
+    assert found.derived["max_sample_period"] is None
+    assert "no range of short periods was proved for the linearised loop: it is unstable at" in claim.evidence
+
+
+def test_a_radius_shows_on_which_side_of_one_it_lies():
+    assert radius_text(1 - 1.25e-10) == "1 - 1.3e-10"
+    assert radius_text(1 + 2e-9) == "1 + 2e-09"
+    assert radius_text(0.25) == "0.25"
+
+
+@pytest.mark.parametrize("damping", [(2, 3), (2, 2), ("1e-6", "1e-6"), (1000, 1)])
+def test_the_largest_period_is_not_below_one_that_is_proved(damping):
+    # nearly equal and very slow modes, whose radius rounds to one
+    design = two_masses(7, "1e-6", damping=[float(v) for v in damping])
+    found = derive(design)
+    figures, largest = found.derived["sample_periods"], found.derived["max_sample_period"]
+    assert figures["spectral_stable_to"] >= figures["lyapunov_stable_to"]
+    assert largest is None or largest >= figures["spectral_stable_to"]
 
 
 def test_the_scan_ends_where_the_loop_becomes_unstable(rlc):
@@ -141,7 +210,7 @@ def test_the_scan_ends_where_the_loop_becomes_unstable(rlc):
     found = scan(linear, design.sample_period * 10**4)
     assert float(found.stable_to) == pytest.approx(0.38e-3, rel=0.01)
     assert found.stable_to < found.unstable_at < found.stable_to * Fraction(1001, 1000)
-    assert schur(transition_matrix(linear, found.unstable_at)).status is Status.REFUTED
+    assert schur(delayed_matrix(linear, found.unstable_at)).status is Status.REFUTED
 
 
 def test_cells_overlap_from_zero_and_are_stable_inside(rlc):
@@ -150,7 +219,7 @@ def test_cells_overlap_from_zero_and_are_stable_inside(rlc):
     assert found.cells[0][0] == 0
     assert all(a[1] == b[0] for a, b in zip(found.cells, found.cells[1:], strict=False))
     for lo, hi in found.cells[1::4]:
-        assert schur(transition_matrix(linear, lo + (hi - lo) / 3)).status is Status.PROVED
+        assert schur(delayed_matrix(linear, lo + (hi - lo) / 3)).status is Status.PROVED
 
 
 def test_a_window_of_instability_is_not_jumped():
@@ -162,7 +231,7 @@ def test_a_window_of_instability_is_not_jumped():
     )
     found = scan(loop, Fraction(10))
     first = found.unstable_at
-    statuses = [schur(transition_matrix(loop, Fraction(k, 10))).status for k in range(1, 100)]
+    statuses = [schur(delayed_matrix(loop, Fraction(k, 10))).status for k in range(1, 100)]
     assert Status.REFUTED in statuses
     assert Status.PROVED in statuses[int(first * 10) :]
     assert found.stable_to < first < Fraction(statuses.index(Status.REFUTED) + 1, 10)
@@ -191,8 +260,35 @@ def test_a_delay_of_one_sample_is_that_of_a_shifted_input(rlc):
 def test_jitter_has_a_common_storage(rlc):
     design, linear = rlc
     h = design.sample_period
-    assert jitter(linear, h * Fraction(9, 10), h * Fraction(11, 10)).status is Status.PROVED
-    assert jitter(linear, h * 3, h * 5).status is Status.UNDECIDED  # the upper end is unstable
+    assert jitter(linear, h, Fraction(1, 10)).status is Status.PROVED
+    beyond = jitter(linear, h * 3, Fraction(1, 2))  # the upper end is unstable
+    assert beyond.status is Status.UNDECIDED
+    assert 0 < beyond.share < Fraction(381, 300) - 1
+
+
+def test_half_a_period_of_jitter_on_the_coupling_device():
+    claim = claims(load("coupling_device"), Sampling(jitter=Fraction(1, 2)))["sampled-stable"]
+    assert claim.status is Status.PROVED
+    assert "one quadratic storage serves all h in [0.0005, 0.0015] s" in claim.evidence
+
+
+def test_the_storage_of_jitter_decreases_along_random_periods():
+    found = derive(load("coupling_device"))
+    h, loop = found.design.sample_period, found.situation.loop
+    factor = jitter(loop, h, Fraction(1, 2)).storage
+    generator = np.random.default_rng(1)
+    with precision(300):
+        transition = Transition(loop, steps=h)
+        for share in generator.uniform(0.5, 1.5, 20):
+            M = transition.real(transition.jet(ball(rational(h * Fraction(share))))).c0
+            N = factor @ np.array([[float(v.mid()) for v in row] for row in M.tolist()]) @ np.linalg.inv(factor)
+            assert np.linalg.norm(N, 2) < 1
+
+
+def test_too_much_jitter_is_refused_with_what_is_proved():
+    claim = claims(load("rlc").with_(sample_period="3e-4"), Sampling(jitter=Fraction(1, 2)))["sampled-stable"]
+    assert claim.status is Status.UNDECIDED
+    assert "keep the periods within" in claim.hint
 
 
 def test_options_of_sampling_are_checked():
@@ -220,5 +316,5 @@ def test_a_gain_change_is_proved_for_the_wished_period():
     family = LoopFamily.of(found.plant, found.point, found.gamma, found.eta)
     change = gain_change(family, found.law, design.sample_period)
     assert change is not None
-    assert schur(transition_matrix(family.loop(change.law), design.sample_period)).status is Status.PROVED
-    assert schur(transition_matrix(family.loop(found.law), design.sample_period)).status is Status.REFUTED
+    assert schur(delayed_matrix(family.loop(change.law), design.sample_period)).status is Status.PROVED
+    assert schur(delayed_matrix(family.loop(found.law), design.sample_period)).status is Status.REFUTED

@@ -10,7 +10,7 @@ import pytest
 from pbcgen import AffineSystem, Design, DynamicExtension, Limits, Mechanical, ModelError, NotProved, pipeline
 from pbcgen.cli import execute
 from pbcgen.control.derive import derive
-from pbcgen.control.sampled import transition_matrix
+from pbcgen.control.linearisation import delayed_matrix
 from pbcgen.control.trial import Trial, response
 from pbcgen.control.tune import Wish, expression, tune
 from pbcgen.models.loader import load
@@ -75,7 +75,7 @@ def test_rlc_at_10_khz_is_stable_with_margin():
     from pbcgen.control.family import LoopFamily
 
     family = LoopFamily.of(found.plant, found.point, found.gamma, found.eta)
-    longer = transition_matrix(family.loop(found.law), 2 * design.sample_period)
+    longer = delayed_matrix(family.loop(found.law), 2 * design.sample_period)
     assert schur(longer).status is Status.PROVED
     assert any("u <= 3.1" in line for line in tuning.chosen.active)
 
