@@ -21,7 +21,10 @@ from pbcgen.models.exact import decimal
 from pbcgen.passivity.plant import Plant
 from pbcgen.pipeline import Report, Simulation
 from pbcgen.proof.claim import Claim
-from pbcgen.report.derivation import Formula, Step, law_formulas, model_formulas, steps
+from pbcgen.report.derivation import steps
+from pbcgen.report.law_formulas import law_formulas
+from pbcgen.report.mathematics import Formula, Step
+from pbcgen.report.model_formulas import model_formulas
 from pbcgen.report.page import ICONS, MEANINGS, block_filter, counterexample, symbol_filter, verdict
 from pbcgen.report.plots import STYLE, plot_closed_loop
 

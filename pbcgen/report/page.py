@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -23,8 +24,9 @@ from pbcgen.models.laws import gains
 from pbcgen.pipeline import Report, certificate
 from pbcgen.proof.claim import EMISSION_CLAIMS, Claim, Status
 from pbcgen.report.curves import Curves, signal_figures, simulate
-from pbcgen.report.derivation import model_formulas, steps
+from pbcgen.report.derivation import steps
 from pbcgen.report.mathematics import mathml
+from pbcgen.report.model_formulas import model_formulas
 from pbcgen.report.plot_data import plot_data
 from pbcgen.symbolic.sympy_form import decimal_as_latex, name_as_latex
 
@@ -136,7 +138,7 @@ def _style() -> Markup:
 
 def figure(value: float | None, digits: int = 5) -> str:
     """A number for a table; a dash where there is none."""
-    return DASH if value is None else f"{value:.{digits}g}".replace("-", MINUS)
+    return DASH if value is None else f"{value + 0.0:.{digits}g}".replace("-", MINUS)
 
 
 def _context(
@@ -167,6 +169,7 @@ def _context(
         "plots_json": _json_for_html(plots),
         "package": package,
         "manifest": None if package is None else json.loads(package.files["manifest.json"]),
+        "prototypes": [] if package is None else prototypes(package),
         "certificate_hash": hashlib.sha256(text.encode()).hexdigest(),
         "comparison": [] if before is None else compare(before, report),
         "before": before,
@@ -175,6 +178,13 @@ def _context(
         "version": pbcgen.__version__,
         "style": _style(),
     }
+
+
+def prototypes(package: Package) -> list[str]:
+    """The functions that the header declares, each on one line."""
+    header = package.files[f"{package.prefix}.h"]
+    found = re.findall(rf"^\w[\w ]*\b{package.prefix}_\w+\([^;{{]*\);", header, re.MULTILINE)
+    return [" ".join(text.split()) for text in found]
 
 
 def _parameter(value: Fraction) -> str:
@@ -243,8 +253,10 @@ def _value(value: Any) -> str:
     if value is None:
         return DASH
     if isinstance(value, Sequence) and not isinstance(value, str):
+        if len(value) == 1 and not isinstance(value[0], str):
+            return _value(value[0])
         return ", ".join(f"[{_value(v)}]" if isinstance(v, (list, tuple)) else _value(v) for v in value)
-    return f"{float(value):.6g}"
+    return figure(float(value), 6)
 
 
 def _zip_names(values: Sequence[Any], names: Sequence[str]) -> list[tuple[str, Any]]:

@@ -12,7 +12,8 @@ from pbcgen.control.attraction import Region
 from pbcgen.models.loader import load
 from pbcgen.proof.claim import Status
 from pbcgen.report.derivation import steps
-from pbcgen.report.page import page
+from pbcgen.report.mathematics import mathml
+from pbcgen.report.page import page, prototypes
 
 pytestmark = pytest.mark.system
 
@@ -152,3 +153,24 @@ def test_a_region_of_attraction_is_stated_and_drawn():
     i = names.index("x3")
     assert max(xs) == pytest.approx(centre[i] + 0.9 * radii[i], abs=1e-3)
     assert portrait["x_range"][1] > max(xs), "the whole outline is in the picture"
+
+
+def test_functions_arrows_norms_and_signs_are_set_as_in_a_book():
+    assert mathml(r"\frac{a}{b} \ln\cosh(x)").count('<mspace width="0.17em"/>') == 2
+    assert '<mo lspace="0.3em"' in mathml(r"a \iff b")
+    assert "<mi>&#x027" not in mathml(r"a \implies b")
+    assert mathml(r"\lVert x \rVert^2").count('stretchy="false"') == 2
+    assert '<mo form="prefix">' in mathml("u = -k")
+    assert "form=" not in mathml("u - k")
+
+
+def test_the_functions_of_the_header_are_shown():
+    _, package = circuit()
+    found = prototypes(package)
+    assert "void rlc_init(rlc_state_t *state);" in found
+    assert all(text in circuit_page() for text in found)
+
+
+def test_the_feedthrough_of_the_output_is_stated():
+    latex = {f.caption: f.latex for s in steps(circuit()[0].derivation) for f in s.formulas}
+    assert latex["Feedthrough of the output: y contains w^T w u (ypas)"].endswith("= 0")
