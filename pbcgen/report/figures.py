@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 COULOMB, COULOMB_SPEED = (1.0, 0.2, 0.2), 0.01
 
 #: For each beta of the circuit a stable sample period, and how much of the run the C is simulated for.
-BETAS = {1: ("1e-4", 0.2), 10: ("2e-5", 0.2), 100: ("2e-6", 0.02)}
+BETAS = {1: ("1e-4", 0.2), 10: ("2e-5", 0.2), 100: ("2e-6", 0.05)}
 
 #: The outer share of the interval that counts as saturated: tanh reaches its limits only at infinity.
 BAND = 0.01
@@ -240,13 +240,12 @@ def circuit_figure() -> Figure:
     figure, axes = _panels(2, 3, 5.6, sharey="row")
     for k, beta in enumerate(BETAS):
         case = circuit(beta)
-        window = 0.05 if beta < 100 else BETAS[beta][1]
         for panel, row in zip(axes[k::3], ("u", "current"), strict=True):
             for trajectory, style in ((case.continuous, _BAND), (case.sampled, _LINE)):
                 values = trajectory.u[:, 0] if row == "u" else 1e3 * load_current(case, trajectory)
                 step = "steps-post" if row == "u" and style is _LINE else "default"
                 panel.plot(1e3 * trajectory.times, values, color=COLOURS[k], drawstyle=step, **style)
-            panel.set_xlim(0, 1e3 * window)
+            panel.set_xlim(0, 50)
         axes[k].set_title(f"beta = {beta}, h = {float(case.report.design.sample_period) * 1e6:g} µs", loc="left")
         _limits(axes[k], [case.limits], ["#606060"])
         axes[3 + k].axhline(20, color="#606060", linestyle="-.", linewidth=1)
