@@ -108,7 +108,7 @@ class Simulation:
     Attributes:
         continuous: the law of the paper.
         sampled: the generated C under zero-order hold.
-        intervals: of the inputs.
+        intervals: of the inputs, from the law.
         report: the check.
     """
 

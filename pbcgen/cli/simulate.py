@@ -31,6 +31,9 @@ def register(app: typer.Typer) -> None:
             Path | None,
             typer.Option(metavar="FILE", help="Draw the loop: a .png, .svg or .pdf file.", show_default=False),
         ] = None,
+        duration: Annotated[
+            float | None, typer.Option(metavar="T", help="Of the run, seconds.", show_default=False)
+        ] = None,
         precision: options.PrecisionOption = None,
         sample_period: options.SamplePeriod = None,
         allow: options.Allow = None,
@@ -38,10 +41,17 @@ def register(app: typer.Typer) -> None:
     ) -> Outcome:
         """Simulate the closed loop, continuous and sampled."""
         settings = options.Settings(precision, sample_period, options.claims(allow))
-        return run(model, settings, plot=plot, json=json)
+        return run(model, settings, plot=plot, duration=duration, json=json)
 
 
-def run(model: str, settings: options.Settings, *, plot: Path | None = None, json: bool = False) -> Outcome:
+def run(
+    model: str,
+    settings: options.Settings,
+    *,
+    plot: Path | None = None,
+    duration: float | None = None,
+    json: bool = False,
+) -> Outcome:
     """Simulate a model from its initial state.
 
     Raises:
@@ -54,7 +64,10 @@ def run(model: str, settings: options.Settings, *, plot: Path | None = None, jso
     if plot is not None:
         _check_picture(plot)
     with progress("load") as tell:
-        simulation = pipeline.simulate(settings.design(model), allow=settings.allow, progress=tell)
+        design = settings.design(model)
+        if duration is not None:
+            design = design.with_(duration=duration)
+        simulation = pipeline.simulate(design, allow=settings.allow, progress=tell)
         if plot is not None:
             tell("draw")
             _draw(simulation, plot)
@@ -70,12 +83,13 @@ def _check_picture(path: Path) -> None:
 
 
 def _draw(simulation: Simulation, path: Path) -> None:
-    from pbcgen.report.plots import plot_closed_loop, save
+    from pbcgen.report.plots import Bounds, plot_closed_loop, save
 
     design = simulation.report.design
     title = ": ".join(text for text in (design.name, design.description) if text)
     targets = [signal["target"] for signal in _states(simulation)]
-    save(plot_closed_loop(simulation.continuous, simulation.sampled, simulation.intervals, targets, title), path)
+    bounds = Bounds(simulation.intervals, design.input_set.intervals)
+    save(plot_closed_loop(simulation.continuous, simulation.sampled, bounds, targets, title), path)
 
 
 def _document(simulation: Simulation, plot: Path | None) -> dict[str, Any]:
@@ -88,6 +102,9 @@ def _document(simulation: Simulation, plot: Path | None) -> dict[str, Any]:
         "duration": float(sampled.times[-1]),
         "states": _states(simulation),
         "inputs": _inputs(simulation),
+        "limits": _rows(simulation),
+        "reached": not _late(simulation),
+        "remarks": _remarks(simulation),
         "plot": None if plot is None else str(plot),
     }
 
@@ -109,8 +126,8 @@ def _states(simulation: Simulation) -> list[dict[str, Any]]:
 
 
 def _inputs(simulation: Simulation) -> list[dict[str, Any]]:
-    """For each input the values that the sampled controller used, and its interval."""
-    sampled = simulation.sampled
+    """For each input the values that the sampled controller used, the law's interval and the actuator's limits."""
+    sampled, limits = simulation.sampled, simulation.report.design.input_set.intervals
     return [
         {
             "name": name,
@@ -119,9 +136,56 @@ def _inputs(simulation: Simulation) -> list[dict[str, Any]]:
             "largest": float(sampled.u[:, k].max()),
             "end": float(sampled.u[-1, k]),
             "interval": [float(bound) for bound in simulation.intervals[k]],
+            "limits": [None if bound is None else float(bound) for bound in limits[k]],
         }
         for k, (name, unit) in enumerate(zip(sampled.input_names, sampled.input_units, strict=True))
     ]
+
+
+def _rows(simulation: Simulation) -> list[dict[str, Any]]:
+    """For each row of the actuators' polyhedron its bound and the largest value in the run."""
+    from pbcgen.control.amplitudes import row_text
+
+    design, u = simulation.report.design, simulation.sampled.u
+    return [
+        {
+            "limit": row_text(row, design.system.input_names),
+            "largest": float(max(u @ [float(a) for a in row])),
+            "bound": float(bound),
+        }
+        for row, bound in zip(design.input_set.A, design.input_set.b, strict=True)
+    ]
+
+
+#: A state that ends farther from its target than this share of its largest distance has not arrived.
+_ARRIVED = 0.02
+
+
+def _late(simulation: Simulation) -> list[tuple[str, float]]:
+    """The states that have not arrived at the end, with what is left as a share of their largest distance."""
+    from pbcgen.run.simulate import remaining
+
+    assert simulation.report.loop is not None
+    left = remaining(simulation.sampled, simulation.report.loop.x_star)
+    return [(n, float(v)) for n, v in zip(simulation.sampled.state_names, left, strict=True) if v > _ARRIVED]
+
+
+def _remarks(simulation: Simulation) -> list[str]:
+    """What the table does not show: whether x* is reached, and how long that takes."""
+    report, late = simulation.report, _late(simulation)
+    length, abscissa = float(simulation.sampled.times[-1]), report.derived["spectral_abscissa"]
+    slow = abscissa is not None and abscissa < 0 and -1 / abscissa > length / 2
+    lines = []
+    if late:
+        states = ", ".join(f"{name} by {100 * share:.2g} %" for name, share in late)
+        lines.append(f"x* is not reached at the end: {states} of the largest distance.")
+    if slow and (late or -1 / abscissa > length):
+        seconds = f"{float(f'{-5 / abscissa:.2g}'):g}"
+        lines.append(
+            f"The slowest mode has a time constant of {-1 / abscissa:.3g} s: add --duration {seconds}, or duration="
+            f"{seconds} to the design, to see it settle."
+        )
+    return lines or [f"x* is reached: every state ends within {100 * _ARRIVED:g} % of its largest distance."]
 
 
 def _show(console: Console, simulation: Simulation, plot: Path | None) -> None:
@@ -131,7 +195,12 @@ def _show(console: Console, simulation: Simulation, plot: Path | None) -> None:
     )
     console.print(_table(["state", "start", "target", "end", "end, continuous law"], _states(simulation)))
     console.print()
-    console.print(_table(["input", "smallest", "largest", "end", "limits"], _inputs(simulation)))
+    console.print(_table(["input", "smallest", "largest", "end", "always in", "limits"], _inputs(simulation)))
+    for row in _rows(simulation):
+        console.print(f"{row['limit']}: at most {row['largest']:.5g}, limit {row['bound']:.5g}", highlight=False)
+    console.print()
+    for line in _remarks(simulation):
+        console.print(line, highlight=False)
     console.print()
     console.print(f"Picture: {plot}" if plot else "Next: add --plot loop.png for a picture", soft_wrap=True)
 
@@ -149,10 +218,16 @@ def _table(headers: list[str], signals: list[dict[str, Any]]) -> Table:
     return table
 
 
-def _figure(value: float | list[float] | None) -> str:
+def _figure(value: float | list[float | None] | None) -> str:
     match value:
         case None:
             return ""
+        case [None, None]:
+            return "none"
+        case [low, None]:
+            return f">= {_figure(low)}"
+        case [None, high]:
+            return f"<= {_figure(high)}"
         case list():
             return f"[{', '.join(map(_figure, value))}]"
         case _:

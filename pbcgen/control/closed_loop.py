@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from fractions import Fraction
 
 import casadi as ca
 import numpy as np
@@ -36,3 +38,25 @@ class ClosedLoop:
     state_units: tuple[str, ...]
     input_names: tuple[str, ...]
     input_units: tuple[str, ...]
+
+
+#: Time constants of the slowest mode in a simulation whose length was left open, and the most samples of it.
+_TIME_CONSTANTS = 5
+_MOST_SAMPLES = 200_000
+#: Length of a simulation of a loop that does not settle, seconds.
+_UNSETTLED = 10.0
+
+
+def until_settled(abscissa: float | None, h: Fraction) -> float:
+    """How long to simulate: until the slowest mode has decayed, rounded up to 1, 2 or 5 times a power of ten.
+
+    Args:
+        abscissa: the largest real part of the linearised loop, 1/s; None or not negative for one that does not settle.
+        h: sample period, seconds; no simulation takes more than 200 000 samples.
+    """
+    most = float(h) * _MOST_SAMPLES
+    if abscissa is None or not abscissa < 0:
+        return min(_UNSETTLED, most)
+    wanted = _TIME_CONSTANTS / -abscissa
+    decade = 10.0 ** math.floor(math.log10(wanted))
+    return min(next(k * decade for k in (1, 2, 5, 10) if k * decade >= wanted * (1 - 1e-9)), most)

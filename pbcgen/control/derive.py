@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from pbcgen.control.attractivity import Situation
-from pbcgen.control.closed_loop import ClosedLoop
+from pbcgen.control.closed_loop import ClosedLoop, until_settled
 from pbcgen.control.family import LoopFamily
 from pbcgen.control.graph import Interface, LawGraph, Needs, build, control_law, needs
 from pbcgen.control.law import ControlLaw, Precision, Signal
@@ -169,7 +169,8 @@ def derive(design: Design, progress: Progress = None, sampling: Sampling | None 
     ordered = tuple(stages.claims[name] for name in CLAIMS if name in stages.claims)
     graph = at_target.graph if at_target else None
     interface = at_target.interface if at_target else None
-    loop = _closed_loop(plant, design, graph, equilibrium.point) if graph and equilibrium.point else None
+    slowest = numbers.get("spectral_abscissa")
+    loop = _closed_loop(plant, design, graph, equilibrium.point, slowest) if graph and equilibrium.point else None
     return Derivation(
         design,
         plant,
@@ -411,7 +412,7 @@ def _interface(design: Design, point: Point, intervals: tuple[tuple[Fraction, Fr
     return Interface(design.name or "controller", inputs, outputs, intervals, equilibrium, ranges)
 
 
-def _closed_loop(plant: Plant, design: Design, graph: LawGraph, point: Point) -> ClosedLoop:
+def _closed_loop(plant: Plant, design: Design, graph: LawGraph, point: Point, abscissa: float | None) -> ClosedLoop:
     """Numeric functions of plant, sensors and continuous law."""
     system = plant.system
     values = np.array([float(plant.values[n]) for n in system.parameters.names])
@@ -431,7 +432,7 @@ def _closed_loop(plant: Plant, design: Design, graph: LawGraph, point: Point) ->
         np.array([approximate(v) for v in point.u]),
         graph.names,
         np.array([float(v) for v in design.initial]),
-        float(design.duration),
+        until_settled(abscissa, design.sample_period) if design.duration is None else float(design.duration),
         system.state_names,
         tuple(system.units.get(n, "") for n in system.state_names),
         system.input_names,

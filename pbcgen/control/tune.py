@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from pbcgen.control.amplitudes import Room, blocking, largest_amplitudes, rooms
 from pbcgen.control.attraction import region_of_attraction
+from pbcgen.control.closed_loop import until_settled
 from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.family import LoopFamily
 from pbcgen.control.linearisation import Figures, Spectrum, spectral
@@ -237,10 +238,11 @@ class _Problem:
         spectrum = Spectrum(family.A)
         shape = shape_at(plant, point, found.gamma, compensated)
         structure = storage.structure if storage.proved else None
-        duration = float(design.duration) if wish.settling is None else max(4 * wish.settling, 20 * _h(design))
+        length = found.loop.duration if found.loop is not None else until_settled(None, design.sample_period)
+        duration = length if wish.settling is None else max(4 * wish.settling, 20 * _h(design))
         return _Problem(
             design, wish, found, law, trial, family, spectrum, shape, structure, limits, amplitudes,
-            min(duration, float(design.duration) * 2),
+            min(duration, length * 2),
         )  # fmt: skip
 
     @property

@@ -73,7 +73,7 @@ class Design:
         name: how files and reports call the design; None until the loader fills it in.
         near: approximate values by state name that choose among several completions of the target.
         initial: x(0) of simulations, n values.
-        duration: length of simulations in seconds.
+        duration: length of simulations in seconds; None leaves it to the slowest mode of the closed loop.
         description: a sentence for reports.
         call: where the user made it, if in a file.
     """
@@ -88,7 +88,7 @@ class Design:
     name: str | None
     near: Mapping[str, Fraction]
     initial: tuple[Fraction, ...]
-    duration: Fraction
+    duration: Fraction | None
     description: str
     call: Call | None
 
@@ -104,7 +104,7 @@ class Design:
         name: str | None = None,
         near: Mapping[str, Number] | None = None,
         initial: Mapping[str, Number] | Sequence[Number] | None = None,
-        duration: Number = 10,
+        duration: Number | None = None,
         description: str = "",
     ) -> None:
         """Check and store the design.
@@ -119,7 +119,7 @@ class Design:
             name: how files and reports call the design.
             near: approximate values by state name.
             initial: x(0), by state name (others are 0) or n values.
-            duration: length of simulations in seconds, positive.
+            duration: length of simulations in seconds, positive; five time constants of the slowest mode by default.
             description: a sentence for reports.
 
         Raises:
@@ -143,7 +143,7 @@ class Design:
             "name": name,
             "near": MappingProxyType(_by_state(near or {}, lowered, "near")),
             "initial": _initial(initial, lowered),
-            "duration": positive(duration, "the duration"),
+            "duration": None if duration is None else positive(duration, "the duration"),
             "description": description,
             "call": users_call(),
         }

@@ -26,7 +26,7 @@ from pbcgen.report.law_formulas import law_formulas
 from pbcgen.report.mathematics import Formula, Step
 from pbcgen.report.model_formulas import model_formulas
 from pbcgen.report.page import ICONS, MEANINGS, block_filter, counterexample, symbol_filter, verdict
-from pbcgen.report.plots import STYLE, plot_closed_loop
+from pbcgen.report.plots import STYLE, Bounds, plot_closed_loop
 
 
 @cache
@@ -88,7 +88,8 @@ def simulation_png(simulation: Simulation) -> bytes:
     loop = simulation.report.loop
     targets = [None if loop is None else float(v) for v in ([] if loop is None else loop.x_star)]
     title = simulation.report.design.name or ""
-    figure = plot_closed_loop(simulation.continuous, simulation.sampled, simulation.intervals, targets, title)
+    bounds = Bounds(simulation.intervals, simulation.report.design.input_set.intervals)
+    figure = plot_closed_loop(simulation.continuous, simulation.sampled, bounds, targets, title)
     target = io.BytesIO()
     with mpl.rc_context(STYLE):
         figure.savefig(target, format="png", dpi=60, metadata={"Software": None})

@@ -53,12 +53,29 @@ STYLE: dict[Any, Any] = {
 #: Curves of one unit share a panel unless one is this much larger than another.
 _SCALE_RATIO = 20.0
 _LEVEL_COLOUR = "#606060"
+_LIMIT_COLOUR = "#b00020"
+
+#: Limits beyond so many times the law's interval are not drawn.
+_FAR = 3.0
 _LINES_PER_PANEL = 4
 _METADATA: dict[str, dict[str, None]] = {
     ".png": {"Software": None},
     ".svg": {"Date": None, "Creator": None},
     ".pdf": {"CreationDate": None, "ModDate": None, "Creator": None, "Producer": None},
 }
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Where the inputs stay, and where they must.
+
+    Attributes:
+        law: the interval in which the law keeps each input.
+        actuator: what its actuator can do; None is unbounded.
+    """
+
+    law: Sequence[tuple[Fraction, Fraction]]
+    actuator: Sequence[tuple[Fraction | None, Fraction | None]]
 
 
 @dataclass(frozen=True)
@@ -69,8 +86,9 @@ class Panel:
         columns: which columns of x or u.
         names: of these signals.
         unit: that they share.
-        levels: horizontal lines for each of these signals: targets or limits.
+        levels: horizontal lines for each of these signals: targets, or where the law keeps an input.
         held: whether the sampled signal is constant between samples.
+        limits: of the actuators, likewise.
     """
 
     columns: tuple[int, ...]
@@ -78,12 +96,13 @@ class Panel:
     unit: str
     levels: tuple[tuple[float, ...], ...]
     held: bool
+    limits: tuple[tuple[float, ...], ...] = ()
 
 
 def plot_closed_loop(
     continuous: Trajectory,
     sampled: Trajectory,
-    intervals: Sequence[tuple[Fraction, Fraction]],
+    bounds: Bounds,
     targets: Sequence[float | None],
     title: str,
 ) -> Figure:
@@ -92,7 +111,7 @@ def plot_closed_loop(
     Args:
         continuous: the loop with the law in continuous time.
         sampled: the loop with the sampled controller; the same signals.
-        intervals: the limits of each input, drawn dotted.
+        bounds: of each input: the law's drawn dashed, the actuator's dotted.
         targets: the equilibrium of each state, drawn dash-dotted; None for no line.
         title: above the panels.
 
@@ -100,9 +119,10 @@ def plot_closed_loop(
         A figure of 1600 x 900 pixels, tied to no window and to no global state.
     """
     levels = [() if target is None else (float(target),) for target in targets]
-    limits = [(float(lo), float(hi)) for lo, hi in intervals]
+    always = [(float(lo), float(hi)) for lo, hi in bounds.law]
+    limits = [tuple(float(end) for end in pair if end is not None) for pair in bounds.actuator]
     states = panels(sampled.x, sampled.state_names, sampled.state_units, levels, held=False)
-    inputs = panels(sampled.u, sampled.input_names, sampled.input_units, limits, held=True)
+    inputs = panels(sampled.u, sampled.input_names, sampled.input_units, always, held=True, limits=limits)
     unit, factor = _time_unit(float(max(continuous.times[-1], sampled.times[-1])))
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(16, 9), dpi=100, layout="constrained")
@@ -133,7 +153,13 @@ def save(figure: Figure, path: Path | str) -> None:
 
 
 def panels(
-    values: Array, names: Sequence[str], units: Sequence[str], levels: Sequence[tuple[float, ...]], *, held: bool
+    values: Array,
+    names: Sequence[str],
+    units: Sequence[str],
+    levels: Sequence[tuple[float, ...]],
+    *,
+    held: bool,
+    limits: Sequence[tuple[float, ...]] = (),
 ) -> list[Panel]:
     """Signals of one unit and of like size together, in the order in which they first appear."""
     sizes = [
@@ -149,7 +175,14 @@ def panels(
         else:
             groups.append([k])
     return [
-        Panel(tuple(g), tuple(names[k] for k in g), units[g[0]], tuple(tuple(levels[k]) for k in g), held)
+        Panel(
+            tuple(g),
+            tuple(names[k] for k in g),
+            units[g[0]],
+            tuple(tuple(levels[k]) for k in g),
+            held,
+            tuple(tuple(limits[k]) for k in g) if limits else (),
+        )
         for g in groups
     ]
 
@@ -182,14 +215,22 @@ def _draw(axes: Axes, panel: Panel, continuous: tuple[Array, Array], sampled: tu
             axes.axhline(
                 level,
                 color=_LEVEL_COLOUR if shared else colour,
-                linewidth=1.6 if panel.held else 1.1,
-                linestyle=":" if panel.held else "-.",
+                linewidth=1.1,
+                linestyle="--" if panel.held else "-.",
                 zorder=1,
             )
+    _draw_limits(axes, panel)
     axes.margins(x=0, y=0.08)
     axes.set_ylabel(f"{', '.join(map(_plain, panel.names))}" + (f" [{_plain(panel.unit)}]" if panel.unit else ""))
     if len(panel.names) > 1:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.0, ncols=len(panel.names))
+
+
+def _draw_limits(axes: Axes, panel: Panel) -> None:
+    """What the actuators can do, dotted; limits far beyond the law's interval would flatten the curves."""
+    near = max((abs(v) for levels in panel.levels for v in levels), default=0.0) * _FAR
+    for limit in sorted({v for limits in panel.limits for v in limits if abs(v) <= near}):
+        axes.axhline(limit, color=_LIMIT_COLOUR, linewidth=1.8, linestyle=":", zorder=2)
 
 
 def _explain(figure: Figure) -> None:
@@ -199,7 +240,8 @@ def _explain(figure: Figure) -> None:
         Line2D([], [], color=dark, alpha=0.3, linewidth=5.0, label="continuous law"),
         Line2D([], [], color=dark, linewidth=1.4, label="sampled controller"),
         Line2D([], [], color=_LEVEL_COLOUR, linewidth=1.1, linestyle="-.", label="target"),
-        Line2D([], [], color=_LEVEL_COLOUR, linewidth=1.6, linestyle=":", label="limit of the input"),
+        Line2D([], [], color=_LEVEL_COLOUR, linewidth=1.1, linestyle="--", label="the input is always within"),
+        Line2D([], [], color=_LIMIT_COLOUR, linewidth=1.8, linestyle=":", label="limit of the actuator"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
 

@@ -152,7 +152,7 @@ def loops_of(
         package: the generated controller.
         disturbances: what is added.
         seed: of all runs.
-        duration: of a run, seconds; that of the design by default.
+        duration: of a run, seconds; that of simulations by default.
         substeps: plant steps in a sample period; as many as the nominal run needs by default.
 
     Raises:
@@ -167,7 +167,7 @@ def loops_of(
     source = _source(design, loop, interface, frictions)
     names = (f"{interface.prefix}.c", f"{interface.prefix}.h")
     files = (("loops.c", source), *((name, package.files[name]) for name in names))
-    steps = max(1, round((duration or float(design.duration)) / float(design.sample_period)))
+    steps = max(1, round((duration or loop.duration) / float(design.sample_period)))
     made = Loops(
         files,
         design.system.n,

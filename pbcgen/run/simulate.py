@@ -67,6 +67,15 @@ class Trajectory:
     input_units: tuple[str, ...]
 
 
+def remaining(trajectory: Trajectory, x_star: ArrayLike) -> Array:
+    """(n,) how far each state ends from x*, as a share of the largest distance that it had; 0 if it had none."""
+    distance = np.abs(trajectory.x - np.asarray(x_star, dtype=float))
+    largest = np.max(distance, axis=0)
+    # A distance at the rounding of single precision is none.
+    noise = 1e-6 * np.maximum(np.max(np.abs(trajectory.x), axis=0), 1e-30)
+    return np.where(largest > noise, distance[-1] / np.maximum(largest, 1e-300), 0.0)
+
+
 class Stepper(Protocol):
     """A controller that is advanced by one sample period at a time: the compiled C or the Python step."""
 
@@ -224,6 +233,11 @@ def _failure(log: str, start: float) -> str:
     reached = f"at t = {start + float(times[-1]):.6g} s" if times else f"after t = {start:.6g} s"
     flag = re.search(r"CV_[A-Z_]+", log)
     reason = f" ({flag.group()})" if flag else ""
+    if flag is not None and flag.group() == "CV_TOO_MUCH_WORK":
+        return (
+            f"the integration of the closed loop stopped {reached}{reason}: the loop is too fast for the simulation, as"
+            " with a law so steep (a large beta) that it switches like a relay; lower beta or the plant's fastest rate"
+        )
     return (
         f"the integration of the closed loop stopped {reached}{reason}: the trajectory leaves the model's domain there"
         " or grows without bound; check the sample period and the initial state"

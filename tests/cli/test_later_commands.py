@@ -61,6 +61,9 @@ def test_simulate_prints_where_it_ends_and_the_inputs_it_used(execute):
     assert code == 0
     assert "x3 [V]" in text
     assert "[3.003, 3.1]" in text
+    assert text.index("always in") < text.index("limits")
+    assert "[0, 3.1]" in text
+    assert "x* is not reached at the end: x1 by 8" in text
     assert "--plot loop.png" in text
 
 
@@ -70,6 +73,8 @@ def test_simulate_as_json(execute):
     document = json.loads(text)
     assert document["states"][2]["target"] == 3.0515
     assert document["inputs"][0]["interval"] == [3.003, 3.1]
+    assert document["inputs"][0]["limits"] == [0, 3.1]
+    assert document["reached"] is False
     assert document["plot"] is None
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pbcgen.errors import ModelError
-from pbcgen.report.plots import COLOURS, plot_closed_loop, save
+from pbcgen.report.plots import COLOURS, Bounds, plot_closed_loop, save
 from pbcgen.run.simulate import Trajectory
 
 
@@ -29,7 +29,7 @@ def plotted(units: tuple[str, ...], sizes: tuple[float, ...], inputs: int = 1, e
     return plot_closed_loop(
         trajectory(500, units, sizes, inputs, end),
         trajectory(100, units, sizes, inputs, end),
-        [(Fraction(-1), Fraction(1))] * inputs,
+        Bounds([(Fraction(-1), Fraction(1))] * inputs, [(Fraction(-2), Fraction(1000))] * inputs),
         [0.0] * len(sizes),
         "a $ title",
     )
@@ -58,12 +58,16 @@ def test_every_signal_has_a_colour_of_its_own_in_its_panel() -> None:
     assert len({line.get_color() for line in axes.get_lines() if line.get_label()[0] != "_"}) == 2
 
 
-def test_limits_and_targets_are_drawn() -> None:
+def test_intervals_limits_and_targets_are_drawn() -> None:
     figure = plotted(("m",), (1.0,))
-    dotted = [line for line in figure.axes[-1].get_lines() if line.get_linestyle() == ":"]
-    dashed = [line for line in figure.axes[0].get_lines() if line.get_linestyle() == "-."]
-    assert [line.get_ydata()[0] for line in dotted] == [-1.0, 1.0]
-    assert [line.get_ydata()[0] for line in dashed] == [0.0]
+
+    def levels(place: int, style: str) -> list[float]:
+        lines = figure.axes[place].get_lines()
+        return [float(line.get_ydata()[0]) for line in lines if line.get_linestyle() == style]
+
+    assert levels(-1, "--") == [-1.0, 1.0]
+    assert levels(-1, ":") == [-2.0], "a limit of 1000 would flatten the curve"
+    assert levels(0, "-.") == [0.0]
 
 
 @pytest.mark.parametrize(("end", "unit"), [(10.0, "s"), (0.05, "ms"), (1e-5, "µs")])

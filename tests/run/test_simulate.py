@@ -7,8 +7,15 @@ import oscillator
 import pytest
 from scipy.linalg import expm
 
-from pbcgen.control.closed_loop import ClosedLoop
-from pbcgen.run.simulate import PythonStepper, SimulationError, Tolerance, simulate_continuous, simulate_sampled
+from pbcgen.control.closed_loop import ClosedLoop, until_settled
+from pbcgen.run.simulate import (
+    PythonStepper,
+    SimulationError,
+    Tolerance,
+    remaining,
+    simulate_continuous,
+    simulate_sampled,
+)
 from pbcgen.run.wrapper import Controller
 
 
@@ -141,3 +148,17 @@ def test_a_loose_tolerance_is_looser() -> None:
     loop = scalar_loop(-x, x, u, 1.0)
     loose = simulate_continuous(loop, [1.0], Tolerance(1e-3, 1e-4)).x[0, 0]
     assert 1e-7 < abs(loose - np.exp(-1)) < 1e-2
+
+
+def test_what_remains_is_a_share_of_the_largest_distance():
+    run = simulate_continuous(oscillator.loop(), [0.0, 1.0])
+    times = np.array([0.0, 1.0, 2.0])
+    run = replace(run, times=times, x=np.array([[0.0, 1.0], [4.0, 1.0], [1.5, 1.0 + 1e-9]]))
+    assert remaining(run, [1.0, 1.0]).tolist() == pytest.approx([0.5 / 3, 0.0])
+
+
+def test_the_default_duration_covers_the_slowest_mode():
+    assert until_settled(-0.3, Fraction(1, 1000)) == 20
+    assert until_settled(-100.0, Fraction(1, 10**6)) == pytest.approx(0.05)
+    assert until_settled(-1e-9, Fraction(1, 1000)) == 200, "no more than 200 000 samples"
+    assert until_settled(None, Fraction(1, 10)) == until_settled(0.5, Fraction(1, 10)) == 10
