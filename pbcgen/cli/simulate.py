@@ -144,7 +144,7 @@ def _inputs(simulation: Simulation) -> list[dict[str, Any]]:
 
 def _rows(simulation: Simulation) -> list[dict[str, Any]]:
     """For each row of the actuators' polyhedron its bound and the largest value in the run."""
-    from pbcgen.control.amplitudes import row_text
+    from pbcgen.models.limits import row_text
 
     design, u = simulation.report.design, simulation.sampled.u
     return [

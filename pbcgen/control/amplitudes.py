@@ -15,6 +15,7 @@ import numpy as np
 
 from pbcgen.models.design import Design
 from pbcgen.models.gains import Vector
+from pbcgen.models.limits import row_text
 from pbcgen.symbolic.real import Real, lower, rational, text, upper
 
 
@@ -59,17 +60,6 @@ def rooms(design: Design, centres: Sequence[tuple[Real, Real]]) -> list[Room]:
         label = f"{row_text(row, names)} <= {text(rational(bound))}"
         found.append(Room(label, tuple(abs(a) for a in row), bound - reach))
     return found
-
-
-def row_text(row: Sequence[Fraction], names: Sequence[str]) -> str:
-    """A row of the polyhedron as a sum."""
-    result = ""
-    for a, name in zip(row, names, strict=True):
-        if a:
-            size = "" if abs(a) == 1 else f"{text(rational(abs(a)))}*"
-            sign = ("-" if a < 0 else "") if not result else (" - " if a < 0 else " + ")
-            result += f"{sign}{size}{name}"
-    return result
 
 
 def blocking(limits: Sequence[Room]) -> Room | None:

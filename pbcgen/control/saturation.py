@@ -8,10 +8,11 @@ from fractions import Fraction
 
 import casadi as ca
 
-from pbcgen.control.amplitudes import blocking, rooms, row_text
+from pbcgen.control.amplitudes import blocking, largest_amplitudes, rooms
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Design
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.limits import row_text
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.extrema import Box, maximum, term_bounds
@@ -72,7 +73,7 @@ def saturation(plant: Plant, design: Design, law: Law, point: Point) -> Saturati
             None if c is None else Range(c.lo - rational(a), c.hi + rational(a))
             for c, a in zip(centres, sizes, strict=True)
         )
-        return Saturation(_compare(plant, design, ranges, centres), ranges)
+        return Saturation(_compare(plant, design, ranges, centres, sizes), ranges)
 
 
 def offsets(plant: Plant, law: Law, point: Point) -> list[tuple[Real, Real]] | None:
@@ -164,7 +165,13 @@ def _best(plant: Plant, entry: ca.SX, used: Sequence[int], box: Box, other: Frac
     return min(found) if found else None
 
 
-def _compare(plant: Plant, design: Design, ranges: Sequence[Range | None], centres: Sequence[Range | None]) -> Claim:
+def _compare(
+    plant: Plant,
+    design: Design,
+    ranges: Sequence[Range | None],
+    centres: Sequence[Range | None],
+    sizes: Sequence[Fraction],
+) -> Claim:
     names = plant.system.input_names
     for name, found in zip(names, ranges, strict=True):
         if found is None:
@@ -183,12 +190,11 @@ def _compare(plant: Plant, design: Design, ranges: Sequence[Range | None], centr
     worst = next((p for p in problems if p[1] == -1), None) or next((p for p in problems if p[1] is None), None)
     if worst is None:
         limits = _least_slack(problems) if problems else "no limits given"
-        return Claim(
-            "saturation", Status.PROVED, "all inputs", "interval arithmetic over the rationals", f"{shown}; {limits}"
-        )
+        evidence = f"{shown}; {limits}{_beyond_domain(plant, design)}"
+        return Claim("saturation", Status.PROVED, "all inputs", "interval arithmetic over the rationals", evidence)
     label, certain, excess = worst
     status = Status.REFUTED if certain == -1 and _attained(centres) else Status.UNDECIDED
-    hint = _hint(design, offsets, label, excess)
+    hint = _hint(design, offsets, sizes)
     counterexample = {"limit": label, "excess": text(excess, 6)} if status is Status.REFUTED else None
     return Claim(
         "saturation",
@@ -246,11 +252,27 @@ def _least_slack(slacks: Sequence[_Slack]) -> str:
     return f"limits respected, {text(-excess, 6) if sign(excess) else '0'} left to {label}"
 
 
-def _hint(design: Design, centres: Sequence[tuple[Real, Real]], label: str, excess: Real) -> str:
-    blocked = blocking(rooms(design, centres))
+def _beyond_domain(plant: Plant, design: Design) -> str:
+    """What holds the bound where positions leave a declared domain, on which the range of grad V rests."""
+    base = design.law.base if isinstance(design.law, Integral) else design.law
+    mechanics = plant.system.mechanical
+    if not isinstance(base, PotentialCompensation) or mechanics is None:
+        return ""
+    declared = [name for name in plant.system.state_names[: mechanics.q.numel()] if name in plant.system.domain]
+    if not declared:
+        return ""
+    return f"; the law itself stays within for {', '.join(declared)} in the domain, beyond it the C cuts it off there"
+
+
+def _hint(design: Design, centres: Sequence[tuple[Real, Real]], sizes: Sequence[Fraction]) -> str:
+    limits = rooms(design, centres)
+    blocked = blocking(limits)
     if blocked is not None:
         return (
             f"no alpha can help: without it the input is already at or beyond {blocked.limit} "
             f"(by {float(-blocked.room):.6g}); choose another target or actuator"
         )
-    return f"reduce the amplitudes alpha that enter {label} by {text(excess, 6)} in total"
+    fitting = largest_amplitudes(limits, sizes) or sizes
+    names = design.system.input_names
+    listed = ", ".join(f"{float(size):.6g} for {name}" for name, size in zip(names, fitting, strict=True))
+    return f"reduce the amplitudes: these sums of alpha respect all limits: {listed}"

@@ -192,7 +192,7 @@ def _check_limits(limits: object, system: AffineSystem) -> None:
         return
     if not isinstance(limits, Limits):
         raise ModelError(f"limits is a {type(limits).__name__}: Limits(...) was expected")
-    limits.resolve(system.input_names)
+    limits.resolve(system.input_names).check(system.input_names)
 
 
 def _target(target: TargetLike, system: AffineSystem) -> Target:

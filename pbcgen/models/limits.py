@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from fractions import Fraction
 
 from pbcgen.errors import ModelError
 from pbcgen.models.affine import Interval, IntervalLike, interval
-from pbcgen.models.exact import Number, exact, positive
+from pbcgen.models.exact import Number, decimal, exact, positive
 from pbcgen.models.expressions import suggestion
 from pbcgen.models.gains import Matrix, Vector, rectangle
-
-if TYPE_CHECKING:
-    from fractions import Fraction
 
 
 @dataclass(frozen=True)
@@ -29,6 +26,59 @@ class InputSet:
     intervals: tuple[Interval, ...]
     A: Matrix
     b: Vector
+
+    def rows(self) -> tuple[tuple[Vector, Fraction], ...]:
+        """All limits as rows ``a u <= b``: upper and lower bounds, then the polyhedron."""
+        m = len(self.intervals)
+        found: list[tuple[Vector, Fraction]] = []
+        for i, (lo, hi) in enumerate(self.intervals):
+            unit = tuple(Fraction(i == j) for j in range(m))
+            found += [(unit, hi)] if hi is not None else []
+            found += [(tuple(-v for v in unit), -lo)] if lo is not None else []
+        return (*found, *zip(self.A, self.b, strict=True))
+
+    def check(self, input_names: Sequence[str]) -> None:
+        """Raise ModelError naming limits that contradict each other, if no input keeps them all."""
+        rows = self.rows()
+        conflict = _conflict(rows) if self.A else ()
+        if conflict:
+            listed = ", ".join(f"`{row_text(rows[k][0], input_names)} <= {decimal(rows[k][1])}`" for k in conflict)
+            raise ModelError(f"no input keeps the limits {listed} together: widen one of them")
+
+
+def row_text(row: Sequence[Fraction], names: Sequence[str]) -> str:
+    """A row of the polyhedron as a sum."""
+    result = ""
+    for a, name in zip(row, names, strict=True):
+        if a:
+            size = "" if abs(a) == 1 else f"{decimal(abs(a))}*"
+            sign = ("-" if a < 0 else "") if not result else (" - " if a < 0 else " + ")
+            result += f"{sign}{size}{name}"
+    return result
+
+
+#: Rows whose least common excess is above this share of their size contradict each other.
+_CONTRADICTION = 1e-9
+
+
+def _conflict(rows: Sequence[tuple[Vector, Fraction]]) -> tuple[int, ...]:
+    """The rows of a clear contradiction, by the linear program ``min t : a u <= b + t |a|``; else none."""
+    import numpy as np
+    from scipy.optimize import linprog
+
+    A = np.array([[float(v) for v in a] for a, _ in rows])
+    size = np.abs(A).sum(axis=1)
+    b = np.array([float(v) for _, v in rows])
+    least = linprog(
+        [0.0] * A.shape[1] + [1.0],
+        A_ub=np.hstack([A / size[:, None], -np.ones((len(A), 1))]),
+        b_ub=b / size,
+        bounds=[(None, None)] * (A.shape[1] + 1),
+        method="highs",
+    )
+    if least.status != 0 or least.fun <= _CONTRADICTION * (1 + float(np.max(np.abs(b / size)))):
+        return ()
+    return tuple(int(k) for k in np.nonzero(np.abs(least.ineqlin.marginals) > 1e-9)[0])
 
 
 @dataclass(frozen=True, init=False)

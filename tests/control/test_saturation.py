@@ -55,3 +55,24 @@ def test_an_unbounded_potential_is_bounded_on_its_domain():
     assert claim.status is Status.PROVED
     assert interval == [-3, 3]
     assert _pendulum(lambda q: q**2, "2.999", domain={"q": (-1, 1)})[0].status is not Status.PROVED
+
+
+def spring(bound, alpha=2):
+    """A driven mass on a spring, whose force is bounded on the domain of its position only."""
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    model = Mechanical(q=[q], p=[p], M=[1], V=3 * q**2 / 2, D=[2], G=[1], domain={"q": (-1, 1)}, inputs=["f"])
+    law = PotentialCompensation(alpha=alpha, beta=1, K_c=1, R_c=1)
+    return Design(model, target={"q": "0.5"}, law=law, limits=Limits.symmetric(bound), sample_period="1e-3")
+
+
+def test_a_range_that_rests_on_a_domain_says_what_holds_beyond():
+    claim = {c.claim: c for c in derive(spring(5)).claims}["saturation"]
+    assert claim.status is Status.PROVED
+    assert "the law itself stays within for q in the domain, beyond it the C cuts it off there" in claim.evidence
+
+
+def test_the_amplitudes_of_the_hint_respect_the_limits():
+    found = {c.claim: c for c in derive(spring(4)).claims}["saturation"]
+    assert found.status is not Status.PROVED
+    assert "these sums of alpha respect all limits: 1 for f" in found.hint
+    assert {c.claim: c for c in derive(spring(4, alpha=1)).claims}["saturation"].status is Status.PROVED

@@ -49,3 +49,21 @@ def test_absolute_bounds_have_both_signs():
 def test_bad_limits_are_refused_by_name(build, message):
     with pytest.raises(ModelError, match=message):
         build()
+
+
+@pytest.mark.parametrize(
+    ("limits", "named"),
+    [
+        (Limits(A=[[1, 1], [-1, -1]], b=[-1, -1]), "`a + b <= -1`, `-a - b <= -1`"),
+        (Limits({"a": (0, 1)}, A=[[2, 0]], b=["-5"]), "`-a <= 0`, `2*a <= -5`"),
+    ],
+)
+def test_limits_that_no_input_keeps_are_refused_by_name(limits, named):
+    with pytest.raises(ModelError) as error:
+        limits.resolve(["a", "b"]).check(["a", "b"])
+    assert f"no input keeps the limits {named} together" in str(error.value)
+
+
+@pytest.mark.parametrize("b", [[1, -1], [0, 0], [1, 1]])
+def test_limits_that_touch_or_leave_room_are_kept(b):
+    Limits(A=[[1, 1], [-1, -1]], b=b).resolve(["a", "b"]).check(["a", "b"])
