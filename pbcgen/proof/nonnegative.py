@@ -17,6 +17,7 @@ from flint import fmpq, fmpq_mpoly
 
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import positive_semidefinite
+from pbcgen.proof.spot import Spots
 from pbcgen.symbolic.field import Field, Quotient, TooLarge
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO
@@ -75,12 +76,14 @@ class Known:
         sector: for an odd increasing atom of a monomial the exponents of that monomial.
         pairs: polynomials T, xi with T xi >= 0.
         bounded: atoms with values in [-1, 1].
+        spots: values at sample points, which show that there is nothing to prove.
     """
 
     positive: frozenset[int]
     sector: dict[int, Exponents]
     pairs: tuple[tuple[fmpq_mpoly, fmpq_mpoly], ...]
     bounded: frozenset[int]
+    spots: Spots
 
     @staticmethod
     def of(field: Field, positive_symbols: frozenset[int] = frozenset()) -> Known:
@@ -96,7 +99,7 @@ class Known:
                     sector[k] = tuple(0 if i in positive else int(e) for i, e in enumerate(exponents))
         pairs = tuple(_pairs(field, frozenset(positive)))
         bounded = frozenset(k for k, a in field.atoms.items() if a.kind in _BOUNDED_KINDS)
-        return Known(frozenset(positive), sector, pairs, bounded)
+        return Known(frozenset(positive), sector, pairs, bounded, Spots(field, positive_symbols))
 
 
 def _pairs(field: Field, positive: frozenset[int]) -> Iterator[tuple[fmpq_mpoly, fmpq_mpoly]]:
@@ -180,6 +183,8 @@ def positive(function: Quotient, positive_symbols: frozenset[int] = frozenset())
 
 def _strictly(field: Field, polynomial: fmpq_mpoly, known: Known) -> bool:
     """Whether the polynomial is positive everywhere."""
+    if known.spots.shows_negative(polynomial):
+        return False
     for form in trigonometric_forms(field, polynomial):
         for exponents, coefficient in form.to_dict().items():
             strict = all(e == 0 or (k in known.positive and _strict(field, k)) for k, e in enumerate(exponents))
@@ -227,6 +232,8 @@ def _swap_squares(field: Field, polynomial: fmpq_mpoly, cosine: int, sine: int) 
 
 def _certain(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int = _DEPTH) -> bool:
     """Whether the polynomial in symbols and atoms is proved nonnegative."""
+    if known.spots.shows_negative(polynomial):
+        return False
     if polynomial.is_zero() or any(
         _nonnegative_form(field, form, known) for form in trigonometric_forms(field, polynomial)
     ):
