@@ -165,7 +165,7 @@ def derive(design: Design, progress: Progress = None, sampling: Sampling | None 
         at_target.sampling = sampling
         numbers |= stages.run("at the target", lambda: at_target.decide(stages))
     numbers |= _bounds_as_numbers(bounds, theta_verdict)
-    _fill(stages, law, equilibrium, output)
+    _fill(stages, law, equilibrium, output, at_target.obstacle if at_target else None)
     ordered = tuple(stages.claims[name] for name in CLAIMS if name in stages.claims)
     graph = at_target.graph if at_target else None
     interface = at_target.interface if at_target else None
@@ -277,6 +277,7 @@ class _AtTarget:
         self.graph: LawGraph | None = None
         self.interface: Interface | None = None
         self.situation: Situation | None = None
+        self.obstacle: tuple[str, str] | None = None
 
     def decide(self, stages: _Stages) -> dict[str, Any]:
         """Add the claims at x* and return the derived numbers."""
@@ -302,6 +303,13 @@ class _AtTarget:
         intervals = limits.intervals(self.design)
         lacks_eta = isinstance(_base(self.law), NaturalDamping) and self.eta is None
         if read.missing or lacks_eta:
+            return numbers
+        loops = isinstance(_base(self.law), PassiveOutput) and read.feedthrough.nnz() > 0
+        if loops and stages.claims["passive-output"].status is not Status.PROVED:
+            self.obstacle = (
+                "y = gamma' depends on u and is not proved passive: the algebraic loop of the law may not be solvable",
+                "mend the claim `passive-output`, or use DynamicExtension, which has no such loop",
+            )
             return numbers
         self.graph = build(self.law, measurement, self.point, read)
         situation = self.situation = self._situation(stages)
@@ -440,14 +448,21 @@ def _closed_loop(plant: Plant, design: Design, graph: LawGraph, point: Point, ab
     )
 
 
-def _fill(stages: _Stages, law: Law, equilibrium: Equilibrium, output: PassiveOutputResult | None) -> None:
+def _fill(
+    stages: _Stages,
+    law: Law,
+    equilibrium: Equilibrium,
+    output: PassiveOutputResult | None,
+    obstacle: tuple[str, str] | None,
+) -> None:
     """Claims that were not reached are UNDECIDED with the reason."""
     if equilibrium.point is None:
         why, hint = "there is no equilibrium to work at", equilibrium.claim.hint or "mend the claim `equilibrium`"
     elif output is None:
         why, hint = "there is no gamma to work with", "mend the claim `passive-output`"
     else:
-        why, hint = "the law cannot be written in the measured signals", "mend the claim `measurability`"
+        unreadable = "the law cannot be written in the measured signals", "mend the claim `measurability`"
+        why, hint = obstacle or unreadable
     base = _base(law)
     skipped = set()
     if not isinstance(base, NaturalDamping):

@@ -5,7 +5,7 @@ import time
 import casadi as ca
 import pytest
 
-from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical
+from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical, PassiveOutput
 from pbcgen.control.derive import derive
 from pbcgen.proof.claim import Status
 
@@ -103,3 +103,14 @@ def test_stable_is_never_proved_where_the_linearisation_is_unstable(model):
     assert claims["stable"].status is not PROVED
     assert claims["asymptotically-stable"].status is not PROVED
     assert claims["hessian-condition"].status is not PROVED
+
+
+@pytest.mark.parametrize(("gamma", "status"), [(1, PROVED), (-1, UNDECIDED)])
+def test_an_algebraic_loop_that_is_not_proved_solvable_gives_no_law(gamma, status):
+    """x' = -x + u with y = gamma x': W = gamma, and y + W k tanh(y) = c is monotone for W >= 0 only."""
+    x, u = ca.SX.sym("x"), ca.SX.sym("u")
+    system = AffineSystem([x], [u], [-x], [1], x**2 / 2, gamma=[gamma * x])
+    design = Design(system, {"x": 0}, PassiveOutput(alpha=1, beta=1, k_p=2), sample_period="1e-3", name="d")
+    derivation = derive(design)
+    assert {c.claim: c.status for c in derivation.claims}["stable"] is status
+    assert (derivation.graph is not None) == (status is PROVED)
