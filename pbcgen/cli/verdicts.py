@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -35,7 +34,7 @@ _ELSEWHERE = ("mend", "satisfy")
 
 #: What it means that a claim is UNDECIDED, or REFUTED.
 _WITHOUT = {
-    "equilibrium": ("no rest point for the target was found", "no input holds the system at the target"),
+    "equilibrium": ("it is open where the system rests", "no input holds the system at the target"),
     "measurability": ("the law may need what is not measured", "the law needs what is not measured"),
     "saturation": ("the inputs may leave their limits", "the inputs can leave their limits"),
     "asymptotically-stable": ("it is open whether the loop settles at x*", "the loop does not settle at x*"),
@@ -123,8 +122,7 @@ def _description(claims: Sequence[Claim], hints: Iterable[str], place: Place | N
     for hint in hints:
         text.append(f"\nhint: {hint}", "yellow")
     if place is not None:
-        shown = f"{place}: {re.sub(r' +#.*', '', place.text)}"
-        text.append(f"\n{textwrap.shorten(shown, _LINE_WIDTH, placeholder=' ...')}", "cyan")
+        text.append("\n" + textwrap.shorten(f"{place}: {place.text}", _LINE_WIDTH, placeholder=" ..."), "cyan")
     return text
 
 

@@ -353,7 +353,9 @@ def _only_rest(situation: Situation) -> str | None:
         zero = situation.compensation is not None or all(isinstance(u, fmpq) and u == 0 for u in situation.point.u)
         at_target = situation.at_target(situation.gamma) if zero else None
         if at_target is not None and not at_target.free and not at_target.pending:
-            return "the invariant set forces " + "; ".join([*found.steps, "gamma = gamma*", *at_target.steps])
+            return "the invariant set forces " + "; ".join(
+                dict.fromkeys([*found.steps, "gamma = gamma*", *at_target.steps])
+            )
         return None
     if not found.free and not found.pending and not found.inputs and _monotone(situation, found):
         return (

@@ -69,9 +69,13 @@ class Call:
         return Place(_shown(self.file), number, linecache.getline(self.file, number).strip())
 
     def argument(self, names: Iterable[str]) -> Place | None:
-        """The line of the first of these arguments that the call has; also those of calls inside it."""
-        lines = self._lines()
-        return next((self.place(lines[name]) for name in names if name in lines), None)
+        """Where the first of these arguments stands that the call has, and its text; also those of calls inside it."""
+        found = self._arguments()
+        return next((self._text_of(found[name]) for name in names if name in found), None)
+
+    def _text_of(self, node: ast.keyword | ast.expr) -> Place:
+        source = "".join(linecache.getlines(self.file))
+        return Place(_shown(self.file), node.lineno, " ".join((ast.get_source_segment(source, node) or "").split()))
 
     def named_in(self, message: str) -> Place:
         """The line of the argument that the message names first, or the first line of the call."""
@@ -80,22 +84,22 @@ class Call:
 
     def mention(self, message: str) -> tuple[int, int] | None:
         """Where the message first names an argument of the call, and the line of that argument."""
-        lines = self._lines()
+        lines = {name: node.lineno for name, node in self._arguments().items()}
         meant = {name: name for name in lines if name != "a"}  # the article
         meant |= {word: name for word, name in _ALSO_CALLED.items() if name in lines}
         found = [(match.start(), lines[meant[w]]) for w in meant if (match := re.search(rf"\b{w}\b", message))]
         return min(found, default=None)
 
-    def _lines(self) -> dict[str, int]:
-        """The line of each argument, those of the call itself before those of calls inside it."""
+    def _arguments(self) -> dict[str, ast.keyword | ast.expr]:
+        """The arguments by name, those of the call itself before those of calls inside it."""
         node = self._node()
         if node is None:
             return {}
-        lines = {name: value.lineno for name, value in zip(self.parameters, node.args, strict=False)}
+        found: dict[str, ast.keyword | ast.expr] = dict(zip(self.parameters, node.args, strict=False))
         calls = [item for item in ast.walk(node) if isinstance(item, ast.Call)]  # breadth first
         for keyword in (keyword for call in calls for keyword in call.keywords if keyword.arg):
-            lines.setdefault(str(keyword.arg), keyword.lineno)
-        return lines
+            found.setdefault(str(keyword.arg), keyword)
+        return found
 
     def _node(self) -> ast.Call | None:
         linecache.checkcache(self.file)

@@ -19,6 +19,7 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.nonnegative import nonnegative, positive
+from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.field import Field, Quotient, evaluate
 from pbcgen.symbolic.tape import Tape
 
@@ -170,7 +171,7 @@ class _Elimination:
                 self.solved[j] = ca.substitute(self.solved[j], symbol, value)
             self.solved[k] = value
             self.relations.append(symbol - value)
-            self.steps.append(f"{self.names[k]} = {_short(value)}")
+            self.steps.append(f"{self.names[k]} = {_short(-rest)}")
             return True
         expression = self.to_sx(factor)
         self.pending.append(expression)
@@ -358,6 +359,6 @@ def _determinant(matrix: ca.SX) -> ca.SX:
     return ca.det(matrix) if matrix.shape[0] > 1 else matrix[0, 0]
 
 
-def _short(value: ca.SX) -> str:
-    text = str(value)
+def _short(value: Quotient) -> str:
+    text = formula(value)
     return text if len(text) <= 60 else "an expression of the others"

@@ -101,7 +101,7 @@ def test_a_verdict_names_the_line_of_what_it_speaks_of(generate, capsys, tmp_pat
     generate(text)
     line = next(k for k, line in enumerate(text.splitlines(), 1) if "measured=" in line)
     cli.execute(["check", str(tmp_path / "plant.py")])
-    assert f'plant.py:{line}: measured=["momentum"],' in capsys.readouterr().out
+    assert f'plant.py:{line}: measured=["momentum"]\n' in capsys.readouterr().out
 
 
 def test_a_storage_that_depends_on_the_input_is_refused(generate):
