@@ -12,25 +12,20 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import casadi as ca
-import numpy as np
-from flint import fmpq, fmpq_mpoly
-from numpy.typing import NDArray
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Design
-from pbcgen.passivity.assignable import best_point, greedy_rows, nearest_assignable, residual_of, target_values
+from pbcgen.passivity.assignable import nearest_assignable, residual_of, target_values
+from pbcgen.passivity.completion import Equations, SquareSystem, linear_consequences, point_of
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.smooth import smooth_forms
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
-from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
-from pbcgen.symbolic.field import Quotient
-from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, determined, reduce_rows
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, reduce_rows
 from pbcgen.symbolic.real import (
     BITS,
     Real,
     approximate,
-    fraction,
     is_finite,
     lower,
     precision,
@@ -41,9 +36,6 @@ from pbcgen.symbolic.real import (
     upper,
 )
 from pbcgen.symbolic.tape import exact_decimal
-
-#: Equations with more terms are not searched for powers of a linear function.
-_MOST_TERMS = 200
 
 
 @dataclass(frozen=True)
@@ -61,29 +53,11 @@ class Equilibrium:
     completions: tuple[Mapping[str, float], ...] = ()
 
 
-@dataclass(frozen=True)
-class _Equations:
-    """Square or not: residuals in (x, u) with the rationals already known."""
-
-    plant: Plant
-    names: tuple[str, ...]
-    expressions: ca.SX
-    labels: tuple[str, ...]
-
-    @staticmethod
-    def of(plant: Plant, design: Design) -> _Equations:
-        system = plant.system
-        conditions = design.target.conditions
-        residuals = ca.vertcat(system.xdot, *[residual_of(c) for c in conditions])
-        labels = (*[f"d{n}/dt" for n in system.state_names], *[f"target {c.name}" for c in conditions])
-        return _Equations(plant, (*system.state_names, *system.input_names), residuals, labels)
-
-
 def complete(plant: Plant, design: Design) -> Equilibrium:
     """Find and enclose the equilibrium that the design's target determines."""
-    equations = _Equations.of(plant, design)
+    equations = Equations.of(plant, design)
     try:
-        known = _linear_consequences(equations)
+        known = linear_consequences(equations)
     except Inconsistent:
         return _refuted(plant, design)
     except (UnsupportedOperation, ZeroDivisionError):
@@ -94,50 +68,9 @@ def complete(plant: Plant, design: Design) -> Equilibrium:
     return _search(plant, design, equations, known, unknown)
 
 
-def _linear_consequences(equations: _Equations) -> dict[str, Fraction]:
-    """The unknowns that linear equations over the rationals determine, found in rounds. Raises Inconsistent."""
-    known: dict[str, Fraction] = {}
-    while True:
-        field, (residuals,) = equations.plant.exact(equations.expressions, known=known)
-        rows = [
-            row
-            for quotient in residuals.column(field.const(0))
-            if (row := _linear_row(quotient, equations.names)) is not None
-        ]
-        values = {str(k): fraction(v) for k, v in determined(reduce_rows(rows), fmpq(0)).items()}
-        if not values:
-            return known
-        known |= values
-
-
-def _linear_row(quotient: Quotient, names: Sequence[str]) -> Row | None:
-    """The equation ``numerator = 0`` as a row when it is linear in the unknowns with rational coefficients.
-
-    A power of a linear function, as a cubic spring leaves at rest, is zero where the function is.
-    """
-    row: Row = {}
-    for exponents, coefficient in _base(quotient.numerator).to_dict().items():
-        used = [k for k, e in enumerate(exponents) if e]
-        if not used:
-            row[CONSTANT] = coefficient
-        elif len(used) == 1 and exponents[used[0]] == 1 and used[0] < len(names):
-            row[names[used[0]]] = coefficient
-        else:
-            return None
-    return row
-
-
-def _base(numerator: fmpq_mpoly) -> fmpq_mpoly:
-    """p for a numerator that is a constant times a power of p, else the numerator."""
-    if len(numerator) > _MOST_TERMS or numerator.total_degree() < 2:
-        return numerator
-    _, factors = numerator.factor_squarefree()
-    return factors[0][0] if len(factors) == 1 else numerator
-
-
-def _verify(plant: Plant, design: Design, equations: _Equations, known: Mapping[str, Fraction]) -> Equilibrium:
+def _verify(plant: Plant, design: Design, equations: Equations, known: Mapping[str, Fraction]) -> Equilibrium:
     """Everything is rational: put it into all equations."""
-    point = _point(plant, {name: rational(value) for name, value in known.items()})
+    point = point_of(plant, {name: rational(value) for name, value in known.items()})
     (residuals,) = plant.at(point, equations.expressions)
     values = [row[0] for row in residuals]
     if any(sign(v) in (1, -1) for v in values):
@@ -152,14 +85,14 @@ def _verify(plant: Plant, design: Design, equations: _Equations, known: Mapping[
 
 
 def _search(
-    plant: Plant, design: Design, equations: _Equations, known: Mapping[str, Fraction], unknown: list[str]
+    plant: Plant, design: Design, equations: Equations, known: Mapping[str, Fraction], unknown: list[str]
 ) -> Equilibrium:
     """Newton from many starts on the equations that are left, then an enclosure of each zero."""
     given = {name: rational(value) for name, value in known.items()}
     outside = _outside_domain(plant, given)
     if outside:
         return outside
-    square = _SquareSystem.choose(plant, design, equations, known, unknown)
+    square = SquareSystem.choose(plant, design, equations, known, unknown)
     if square is None:
         return _underdetermined(plant, design, known, unknown)
     with precision(BITS):
@@ -179,8 +112,8 @@ def _search(
 def _accept(
     plant: Plant,
     design: Design,
-    equations: _Equations,
-    square: _SquareSystem,
+    equations: Equations,
+    square: SquareSystem,
     point: Point,
     completions: tuple[Mapping[str, float], ...],
 ) -> Equilibrium:
@@ -201,7 +134,7 @@ def _accept(
     return Equilibrium(_proved(plant, point, "Krawczyk test in ball arithmetic", evidence), point, completions)
 
 
-def _implied(plant: Plant, expression: ca.SX, square: _SquareSystem) -> bool:
+def _implied(plant: Plant, expression: ca.SX, square: SquareSystem) -> bool:
     """Whether an equation is a combination, with constant coefficients, of those of the square system."""
     try:
         field, (values,) = plant.exact(ca.vertcat(expression, square.expressions), known=square.known)
@@ -222,116 +155,7 @@ def _implied(plant: Plant, expression: ca.SX, square: _SquareSystem) -> bool:
     return True
 
 
-@dataclass(frozen=True)
-class _SquareSystem:
-    """As many of the remaining equations as unknowns, chosen with independent gradients."""
-
-    plant: Plant
-    known: Mapping[str, Fraction]
-    unknown: tuple[str, ...]
-    expressions: ca.SX
-    jacobian: ca.SX
-    search: Search
-    rows: tuple[int, ...]
-
-    @staticmethod
-    def choose(
-        plant: Plant, design: Design, equations: _Equations, known: Mapping[str, Fraction], unknown: list[str]
-    ) -> _SquareSystem | None:
-        symbols = ca.vertcat(plant.system.x, plant.system.u)
-        wanted = ca.vertcat(*[symbols[equations.names.index(name)] for name in unknown])
-        jacobian = ca.jacobian(equations.expressions, wanted)
-        search = _search_box(plant, design, unknown)
-        rows = _independent_rows(plant, jacobian, equations.names, known, unknown, search)
-        if len(rows) < len(unknown):
-            return None
-        return _SquareSystem(
-            plant,
-            known,
-            tuple(unknown),
-            equations.expressions[rows],
-            jacobian[rows, :],
-            search,
-            tuple(rows),
-        )
-
-    def zeros(self) -> list[NDArray[np.float64]]:
-        function = self.plant.numeric(self.expressions, self.jacobian)
-
-        def system(z: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-            x, u = self._numbers(z)
-            value, jacobian = function(x, u)
-            return np.array(value).ravel(), np.array(ca.densify(jacobian))
-
-        return find_zeros(system, self.search)
-
-    def enclose(self, zero: NDArray[np.float64]) -> Point | None:
-        tape = self.plant.tape(self.expressions, self.jacobian)
-
-        def system(z: list[Real]) -> tuple[list[Real], list[list[Real]]]:
-            point = self._point(z)
-            value, jacobian = self.plant.walk(tape, point.x, point.u)
-            return [row[0] for row in value], jacobian
-
-        centre = polish(system, zero.tolist())
-        balls = None if centre is None else krawczyk(system, centre)
-        return None if balls is None else self._point(list(balls))
-
-    def _point(self, z: list[Real]) -> Point:
-        values = {name: rational(value) for name, value in self.known.items()} | dict(zip(self.unknown, z, strict=True))
-        return _point(self.plant, values)
-
-    def _numbers(self, z: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        values = {**{k: float(v) for k, v in self.known.items()}, **dict(zip(self.unknown, z, strict=True))}
-        system = self.plant.system
-        return (
-            np.array([values[name] for name in system.state_names]),
-            np.array([values[name] for name in system.input_names]),
-        )
-
-
-def _search_box(plant: Plant, design: Design, unknown: Sequence[str]) -> Search:
-    domain = plant.system.domain
-    near = {name: float(value) for name, value in design.near.items()}
-    bounds = [domain.get(name, (None, None)) for name in unknown]
-    lo = np.array([-np.inf if b[0] is None else float(b[0]) for b in bounds])
-    hi = np.array([np.inf if b[1] is None else float(b[1]) for b in bounds])
-    start = np.array([near.get(name, 0.0) for name in unknown])
-    return Search(lo, hi, (np.clip(start, lo, hi),))
-
-
-def _independent_rows(
-    plant: Plant,
-    jacobian: ca.SX,
-    names: Sequence[str],
-    known: Mapping[str, Fraction],
-    unknown: Sequence[str],
-    search: Search,
-) -> list[int]:
-    """Rows of the Jacobian that are independent at generic points, greedily from the first."""
-    function = plant.numeric(jacobian)
-    generator = np.random.default_rng(1)
-    best: list[int] = []
-    for _ in range(5):
-        values = {**{k: float(v) for k, v in known.items()}}
-        width = np.minimum(search.upper - search.lower, 1.0)
-        around = np.clip(0.0, search.lower, search.upper) + width * generator.uniform(-1.0, 1.0, len(unknown))
-        sample = np.clip(around, search.lower, search.upper)
-        values |= dict(zip(unknown, sample, strict=True))
-        x = np.array([values[n] for n in names[: plant.system.n]])
-        u = np.array([values[n] for n in names[plant.system.n :]])
-        rows = greedy_rows(np.array(ca.densify(function(x, u))))
-        if len(rows) > len(best):
-            best = rows
-    return best
-
-
 # --- verdicts ---------------------------------------------------------------------------------------------------
-
-
-def _point(plant: Plant, values: Mapping[str, Real]) -> Point:
-    system = plant.system
-    return Point(tuple(values[n] for n in system.state_names), tuple(values[n] for n in system.input_names))
 
 
 def _rounded(plant: Plant, point: Point) -> dict[str, float]:
@@ -445,7 +269,7 @@ def _unfit(why: str, hint: str) -> Equilibrium:
     return Equilibrium(claim, None)
 
 
-def _no_zero(plant: Plant, design: Design, equations: _Equations, square: _SquareSystem) -> Equilibrium:
+def _no_zero(plant: Plant, design: Design, equations: Equations, square: SquareSystem) -> Equilibrium:
     polished = nearest_assignable(plant, design)
     near = "" if polished is None else "; nearest assignable point found: " + _pairs(polished)
     if polished is not None and not _is_smooth_at(plant, polished):
@@ -494,21 +318,21 @@ def _refuted(plant: Plant, design: Design) -> Equilibrium:
 def _contradict_each_other(plant: Plant, design: Design) -> bool:
     """Whether the target's conditions alone, without the system's equations, have no solution."""
     conditions = design.target.conditions
-    asked = _Equations(
+    asked = Equations(
         plant,
         (*plant.system.state_names, *plant.system.input_names),
         ca.vertcat(*[residual_of(c) for c in conditions]),
         tuple(c.name for c in conditions),
     )
     try:
-        _linear_consequences(asked)
+        linear_consequences(asked)
     except Inconsistent:
         return True
     return False
 
 
 def _not_assignable(
-    plant: Plant, design: Design, equations: _Equations, point: Point, values: Sequence[Real]
+    plant: Plant, design: Design, equations: Equations, point: Point, values: Sequence[Real]
 ) -> Equilibrium:
     return _residual_verdict(plant, design, values[: plant.system.n], "residual in exact or ball arithmetic", point)
 
