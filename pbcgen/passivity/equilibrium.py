@@ -15,7 +15,7 @@ import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Design
-from pbcgen.passivity.assignable import nearest_assignable, residual_of, target_values
+from pbcgen.passivity.assignable import best_point, nearest_assignable, residual_of, target_values
 from pbcgen.passivity.completion import Equations, SquareSystem, linear_consequences, point_of
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.smooth import smooth_forms
