@@ -38,7 +38,8 @@ class Circuit:
     A voltage source that drives current i into its inductor therefore has g_L = -1.
 
     Attributes:
-        i_L: currents of the inductors. v_C: voltages of the capacitors.
+        i_L: currents of the inductors.
+        v_C: voltages of the capacitors.
         u: voltage sources u_L, then current sources u_C.
         parts: Q, P, its gradient and Hessian, Xi, Q_tilde, g_tilde of Prop. pro:rcl.
         system: the input-affine system with storage P_tilde.

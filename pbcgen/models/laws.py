@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from fractions import Fraction
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from pbcgen.errors import ModelError
 from pbcgen.models.exact import exact
@@ -33,7 +33,9 @@ class PassiveOutput:
     """Law (u): ``u = -kappa - alpha tanh(beta (gamma - gamma_*)) - k_p tanh(y)``. Needs the full state.
 
     Attributes:
-        alpha, beta, k_p: positive gains, one for each input.
+        alpha: the largest pull, positive, one for each input, in units of u.
+        beta: how steeply it gets there, positive, one for each input; alpha beta is a stiffness.
+        k_p: the largest pull against y, positive, one for each input.
     """
 
     name: ClassVar[str] = "passive-output"
@@ -53,15 +55,9 @@ class PassiveOutput:
 
 
 @dataclass(frozen=True, init=False)
-class DynamicExtension:
-    """Law (uc), (dxc): ``u = -kappa - alpha tanh(beta z_c)`` with the filter x_c. Needs gamma measured.
+class _OneFilter:
+    """The gains of a law with the filter x_c and nothing else."""
 
-    Attributes:
-        alpha, beta: positive gains, one for each input.
-        K_c, R_c: symmetric m x m gains; that they are positive definite is a claim to be proved.
-    """
-
-    name: ClassVar[str] = "dynamic-extension"
     alpha: Vector
     beta: Vector
     K_c: Matrix
@@ -77,9 +73,9 @@ class DynamicExtension:
             R_c=symmetric(R_c, "R_c"),
         )
 
-    def resolve(self, m: int, s: int | None = None) -> DynamicExtension:
+    def resolve(self, m: int, s: int | None = None) -> Self:
         """The law with full shapes. Raises ModelError for a wrong size."""
-        return DynamicExtension(
+        return type(self)(
             sized_vector(self.alpha, m, "alpha"),
             sized_vector(self.beta, m, "beta"),
             sized_matrix(self.K_c, m, "K_c"),
@@ -88,13 +84,36 @@ class DynamicExtension:
 
 
 @dataclass(frozen=True, init=False)
+class DynamicExtension(_OneFilter):
+    """Law (uc), (dxc): ``u = -kappa - alpha tanh(beta z_c)`` with the filter x_c. Needs gamma measured.
+
+    Attributes:
+        alpha: the largest pull, positive, one for each input, in units of u.
+        beta: how steeply it gets there, positive, one for each input; alpha beta is a stiffness.
+        K_c: stiffness of the filter, symmetric m x m; that it is positive definite is a claim to be proved.
+        R_c: how fast the filter follows, likewise.
+    """
+
+    name: ClassVar[str] = "dynamic-extension"
+
+    def __init__(self, alpha: VectorLike, beta: VectorLike, K_c: MatrixLike, R_c: MatrixLike) -> None:
+        """Store exact gains. Raises ModelError for nonpositive or nonsymmetric ones."""
+        super().__init__(alpha, beta, K_c, R_c)
+
+
+@dataclass(frozen=True, init=False)
 class NaturalDamping:
     """Law (ulc), (dxc), (dxl): (uc) and ``-alpha_l tanh(beta_l z_l)``. Needs gamma and eta measured.
 
     Attributes:
-        alpha_c, beta_c, alpha_l, beta_l: positive gains, one for each input.
-        K_c, R_c: symmetric m x m gains.
-        K_l, R_l: diagonal positive m x m gains.
+        alpha_c: the largest pull, positive, one for each input, in units of u.
+        beta_c: how steeply it gets there, positive, one for each input; alpha_c beta_c is a stiffness.
+        alpha_l: the largest pull of the term in x_l, positive, one for each input.
+        beta_l: how steeply it gets there, positive, one for each input; alpha_l beta_l is a stiffness.
+        K_c: stiffness of the filter x_c, symmetric m x m.
+        R_c: how fast x_c follows, likewise.
+        K_l: stiffness of the filter x_l, diagonal positive m x m.
+        R_l: how fast x_l follows, likewise.
         Upsilon: m x s of rank min(m, s), or None for the identity pattern of this shape.
     """
 
@@ -161,38 +180,21 @@ class NaturalDamping:
 
 
 @dataclass(frozen=True, init=False)
-class PotentialCompensation:
+class PotentialCompensation(_OneFilter):
     """Law (umec): ``u = grad V(q) - alpha tanh(beta z_c)``, for fully actuated mechanical systems with G = I.
 
     Attributes:
-        alpha, beta: positive gains, one for each input.
-        K_c, R_c: symmetric m x m gains.
+        alpha: the largest pull, positive, one for each input, in units of u.
+        beta: how steeply it gets there, positive, one for each input; alpha beta is a stiffness.
+        K_c: stiffness of the filter, symmetric m x m; that it is positive definite is a claim to be proved.
+        R_c: how fast the filter follows, likewise.
     """
 
     name: ClassVar[str] = "potential-compensation"
-    alpha: Vector
-    beta: Vector
-    K_c: Matrix
-    R_c: Matrix
 
     def __init__(self, alpha: VectorLike, beta: VectorLike, K_c: MatrixLike, R_c: MatrixLike) -> None:
         """Store exact gains. Raises ModelError for nonpositive or nonsymmetric ones."""
-        _store(
-            self,
-            alpha=vector(alpha, "alpha"),
-            beta=vector(beta, "beta"),
-            K_c=symmetric(K_c, "K_c"),
-            R_c=symmetric(R_c, "R_c"),
-        )
-
-    def resolve(self, m: int, s: int | None = None) -> PotentialCompensation:
-        """The law with full shapes. Raises ModelError for a wrong size."""
-        return PotentialCompensation(
-            sized_vector(self.alpha, m, "alpha"),
-            sized_vector(self.beta, m, "beta"),
-            sized_matrix(self.K_c, m, "K_c"),
-            sized_matrix(self.R_c, m, "R_c"),
-        )
+        super().__init__(alpha, beta, K_c, R_c)
 
 
 @dataclass(frozen=True, init=False)
@@ -201,7 +203,8 @@ class Integral:
 
     Attributes:
         base: the law that the filter is added to.
-        alpha_psi, beta_psi: positive gains, one for each input.
+        alpha_psi: the largest pull, positive, one for each input, in units of u.
+        beta_psi: how steeply it gets there, positive, one for each input; alpha_psi beta_psi is a stiffness.
         R_psi: diagonal m x m leak of the filter; 0 is a pure integrator.
     """
 

@@ -90,7 +90,8 @@ class Limits:
     Attributes:
         intervals: (lo, hi) by input name, or in the order of u, or one Interval for every input in ``every``.
         every: the interval of each input that ``intervals`` does not bound.
-        A, b: the polyhedron, rows in the order of u.
+        A: the polyhedron, rows in the order of u.
+        b: likewise.
     """
 
     intervals: Mapping[str, Interval] | tuple[Interval, ...]

@@ -33,7 +33,8 @@ class Mechanical:
     """A mechanical system ``q' = grad_p H, p' = -grad_q H - D grad_p H + G u`` with ``H = p^T M^-1 p / 2 + V``.
 
     Attributes:
-        q, p: positions and momenta, n x 1 symbols.
+        q: positions and momenta, n x 1 symbols.
+        p: likewise.
         u: input, m x 1 symbols.
         parts: M, M^-1, V, D, G, the velocity and the gradient of H.
         system: the input-affine system with state (q, p) and storage H.

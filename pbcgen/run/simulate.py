@@ -52,8 +52,11 @@ class Trajectory:
         x: plant states (N, n). xi: controller states (N, nxi). u: inputs of the plant (N, m). In a sampled
             trajectory row k holds the controller state and the output after the step at ``times[k]``; that
             output acts until ``times[k+1]``.
-        state_names, controller_states, input_names: one name for each column.
-        state_units, input_units: their units; empty where unknown.
+        state_names: one name for each column.
+        controller_states: likewise.
+        input_names: likewise.
+        state_units: their units; empty where unknown.
+        input_units: likewise.
     """
 
     times: Array
