@@ -23,7 +23,7 @@ from pbcgen.control.law import ControlLaw
 from pbcgen.control.sampled import Sampling
 from pbcgen.control.solves import with_tanh
 from pbcgen.control.stability import LYAPUNOV
-from pbcgen.emit import Package, Provenance, render
+from pbcgen.emit import Extras, Package, Provenance, render
 from pbcgen.errors import ModelError, NotProved
 from pbcgen.models.design import Design
 from pbcgen.models.identity import model_hash
@@ -158,11 +158,16 @@ def region(report: Report, seconds: float = 40.0) -> Region:
 
 
 def package(
-    report: Report, *, prefix: str | None = None, allow: Sequence[str] = (), figures: Sequence[Figures] = ()
+    report: Report,
+    *,
+    prefix: str | None = None,
+    allow: Sequence[str] = (),
+    figures: Sequence[Figures] = (),
+    extras: Extras | None = None,
 ) -> Package:
     """The C package of a checked design. Raises NotProved when a claim that it needs is open.
 
-    ``figures`` are what a step of it costs on targets.
+    ``figures`` are what a step of it costs on targets, ``extras`` functions on demand.
     """
     blocking = report.blocking(allow)
     if blocking or report.control is None:
@@ -174,7 +179,7 @@ def package(
         allowed,
         derived=report.derived,
     )
-    return render(report.control, provenance, prefix, {"certificate.json": certificate(report)}, figures)
+    return render(report.control, provenance, prefix, {"certificate.json": certificate(report)}, figures, extras)
 
 
 def measured(report: Report, rendered: Package, names: Sequence[str], progress: Progress = None) -> list[Figures]:
@@ -223,6 +228,7 @@ def generate(
     allow: Sequence[str] = (),
     tanh: Tanh | None = None,
     targets: Sequence[str] = (),
+    extras: Extras | None = None,
     progress: Progress = None,
 ) -> Generated:
     """Check the design and write its C package.
@@ -233,6 +239,7 @@ def generate(
         prefix: of the C names.
         allow: claims that need not be proved.
         tanh: in place of the precision's default.
+        extras: functions on demand: a bumpless start, a self-test.
         targets: processors on which the cost of a step is measured, for README and manifest.
         progress: called with the name of each stage.
 
@@ -243,10 +250,10 @@ def generate(
         ModelError: the model is inconsistent.
     """
     report = _with_tanh(check(design, progress), tanh)
-    rendered = package(report, prefix=prefix, allow=allow)
+    rendered = package(report, prefix=prefix, allow=allow, extras=extras)
     if targets:
         figures = measured(report, rendered, targets, progress)
-        rendered = package(report, prefix=prefix, allow=allow, figures=figures)
+        rendered = package(report, prefix=prefix, allow=allow, figures=figures, extras=extras)
     rendered.write(directory)
     return Generated(rendered, report, directory)
 

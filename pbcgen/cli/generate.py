@@ -48,11 +48,27 @@ def register(app: typer.Typer) -> None:
                 show_default=False,
             ),
         ] = None,
+        bumpless: Annotated[
+            bool,
+            typer.Option("--bumpless", help="Add <p>_start_at: a start at the first measurement without a jump."),
+        ] = False,
+        selftest: Annotated[
+            bool, typer.Option("--selftest", help="Add <p>_selftest: a run against expected outputs.")
+        ] = False,
         json: options.Json = False,
     ) -> Outcome:
         """Check the model, then write the C package."""
         settings = options.Settings(precision, sample_period, options.claims(allow), tanh)
-        return run(model, directory, settings, prefix=prefix, targets=target or (), json=json)
+        return run(
+            model,
+            directory,
+            settings,
+            prefix=prefix,
+            targets=target or (),
+            bumpless=bumpless,
+            selftest=selftest,
+            json=json,
+        )
 
 
 def run(
@@ -62,6 +78,8 @@ def run(
     *,
     prefix: str | None = None,
     targets: Sequence[str] = (),
+    bumpless: bool = False,
+    selftest: bool = False,
     json: bool = False,
 ) -> Outcome:
     """Write the package.
@@ -73,6 +91,7 @@ def run(
         EmitError: the directory holds other files, or the controller cannot be written in C.
     """
     from pbcgen import pipeline
+    from pbcgen.emit import Extras
 
     with progress("load") as tell:
         design = settings.design(model)
@@ -83,6 +102,7 @@ def run(
             allow=settings.allow,
             tanh=settings.tanh,
             targets=targets,
+            extras=Extras(start=bumpless, selftest=selftest),
             progress=tell,
         )
     return Outcome(lambda console: _show(console, generated, model, settings), _document(generated) if json else None)

@@ -84,6 +84,10 @@ def _rows(validation: Validation) -> Iterator[tuple[bool, str, list[str]]]:
         low, high = (float(bound) for bound in output.interval)
         figures = f"{output.smallest:.6g} to {output.largest:.6g} in [{low:.6g}, {high:.6g}], {output.samples} values"
         yield output.passed, f"{output.name} in its interval", [figures]
+    if validation.settings is not None:
+        found = validation.settings
+        figures = f"{found.samples} set, {found.refused} of them refused; what is stored differs by {found.ulp:.3g} ulp"
+        yield found.passed, "targets and gains as in Python", [figures]
 
 
 def _agreement(agreement: Agreement) -> list[str]:

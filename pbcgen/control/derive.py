@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from pbcgen.control.attractivity import Situation
+from pbcgen.control.box import box_claim
 from pbcgen.control.closed_loop import ClosedLoop, until_settled
 from pbcgen.control.family import LoopFamily
 from pbcgen.control.graph import Interface, LawGraph, Needs, build, control_law, needs
@@ -19,6 +20,7 @@ from pbcgen.control.law import ControlLaw, Precision, Signal
 from pbcgen.control.measure import Measurement
 from pbcgen.control.sampled import Sampling
 from pbcgen.control.saturation import saturation
+from pbcgen.control.settings import Settings
 from pbcgen.control.stability import StabilityVerdicts, stability
 from pbcgen.errors import ModelError, UnsupportedOperation
 from pbcgen.models.design import Design
@@ -40,6 +42,7 @@ from pbcgen.passivity.shaping import (
 )
 from pbcgen.passivity.storage import Storage, assumption_1
 from pbcgen.passivity.structure import PowerStructure
+from pbcgen.passivity.target_map import TargetMap, target_map
 from pbcgen.proof.claim import CLAIMS, NOT_REACHED, Claim, Status
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.real import approximate
@@ -165,7 +168,7 @@ def derive(design: Design, progress: Progress = None, sampling: Sampling | None 
         at_target.sampling = sampling
         numbers |= stages.run("at the target", lambda: at_target.decide(stages))
     numbers |= _bounds_as_numbers(bounds, theta_verdict)
-    _fill(stages, law, equilibrium, output, at_target.obstacle if at_target else None)
+    _fill(stages, design, law, equilibrium, output, at_target.obstacle if at_target else None)
     ordered = tuple(stages.claims[name] for name in CLAIMS if name in stages.claims)
     graph = at_target.graph if at_target else None
     interface = at_target.interface if at_target else None
@@ -297,7 +300,10 @@ class _AtTarget:
         numbers["input_intervals"] = [
             None if r is None else [approximate(r.lo), approximate(r.hi)] for r in limits.ranges
         ]
-        measurement = Measurement.of(self.plant, self.point)
+        moving = target_map(self.plant, self.design) if self.design.target_box else None
+        explicit = moving if isinstance(moving, TargetMap) else None
+        settings = Settings.of(self.design, self.law, explicit)
+        measurement = Measurement.of(self.plant, self.point, settings)
         read = needs(self.plant, measurement, self.law, self.output.gamma, self.eta)
         stages.add(self._measurability(read))
         intervals = limits.intervals(self.design)
@@ -311,14 +317,18 @@ class _AtTarget:
                 "mend the claim `passive-output`, or use DynamicExtension, which has no such loop",
             )
             return numbers
-        self.graph = build(self.law, measurement, self.point, read)
+        graph = self.graph = build(self.law, measurement, self.point, read)
         situation = self.situation = self._situation(stages)
         verdicts: StabilityVerdicts = stages.run(
             "stability", lambda: stability(situation, self.design.sample_period, self.sampling)
         )
         stages.add(*verdicts.claims)
+        if self.design.target_box or self.design.gain_ranges:
+            box = stages.run("settings", lambda: box_claim(situation, graph, self.design, moving))
+            stages.add(box.claim)
+            intervals = box.intervals(self.design, intervals)
         if intervals is not None and all(lo < hi for lo, hi in intervals):
-            self.interface = _interface(self.design, self.point, intervals)
+            self.interface = _interface(self.plant, self.design, self.point, intervals)
         numbers["spectral_abscissa"] = verdicts.spectral_abscissa
         numbers["spectral_radius"] = verdicts.spectral_radius
         numbers["max_sample_period"] = verdicts.max_sample_period
@@ -404,7 +414,9 @@ class _AtTarget:
         return Claim("measurability", status, "all x", "exact identities", first.reason, hint, counterexample)
 
 
-def _interface(design: Design, point: Point, intervals: tuple[tuple[Fraction, Fraction], ...]) -> Interface:
+def _interface(
+    plant: Plant, design: Design, point: Point, intervals: tuple[tuple[Fraction, Fraction], ...]
+) -> Interface:
     system = design.system
     units = system.units
     inputs = tuple(Signal(name, units.get(name, ""), "measured") for name in system.measured_names)
@@ -417,7 +429,9 @@ def _interface(design: Design, point: Point, intervals: tuple[tuple[Fraction, Fr
     equilibrium = tuple(
         min(max(approximate(u), float(lo)), float(hi)) for u, (lo, hi) in zip(point.u, intervals, strict=True)
     )
-    return Interface(design.name or "controller", inputs, outputs, intervals, equilibrium, ranges)
+    (measured,) = plant.at(point, system.measured_expressions)
+    rest = tuple(approximate(row[0]) for row in measured)
+    return Interface(design.name or "controller", inputs, outputs, intervals, equilibrium, ranges, rest)
 
 
 def _closed_loop(plant: Plant, design: Design, graph: LawGraph, point: Point, abscissa: float | None) -> ClosedLoop:
@@ -450,6 +464,7 @@ def _closed_loop(plant: Plant, design: Design, graph: LawGraph, point: Point, ab
 
 def _fill(
     stages: _Stages,
+    design: Design,
     law: Law,
     equilibrium: Equilibrium,
     output: PassiveOutputResult | None,
@@ -464,7 +479,7 @@ def _fill(
         unreadable = "the law cannot be written in the measured signals", "mend the claim `measurability`"
         why, hint = obstacle or unreadable
     base = _base(law)
-    skipped = set()
+    skipped = set() if design.target_box or design.gain_ranges else {"adjustable"}
     if not isinstance(base, NaturalDamping):
         skipped |= {"assumption-3", "theta"}
     if isinstance(base, PassiveOutput):

@@ -16,13 +16,27 @@ import casadi as ca
 from flint import fmpq, fmpq_mat
 
 from pbcgen.control.hyperbolic import Tanh, default_tanh
-from pbcgen.control.law import ControlLaw, Fallback, Precision, Signal
+from pbcgen.control.law import ControlLaw, Fallback, Precision, Setter, SetterInput, Signal
 from pbcgen.control.measure import Measurement, Reading, Unreadable
+from pbcgen.control.settings import Gain, Setting, Settings, Stored, column, matrix, times
 from pbcgen.control.solves import choose_solves
-from pbcgen.models.gains import Matrix, Vector
+from pbcgen.models.gains import Matrix
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.plant import Plant, Point
-from pbcgen.symbolic.real import Real, approximate, fraction, rational
+from pbcgen.symbolic.real import (
+    BITS,
+    REAL,
+    ZERO,
+    Real,
+    approximate,
+    enclose,
+    fraction,
+    is_finite,
+    rational,
+    undefined,
+    upper,
+)
+from pbcgen.symbolic.real import precision as precision_of_balls
 from pbcgen.symbolic.tape import Tape
 
 #: The filter psi of (dpsi) stops where sech(beta psi) is below the unit roundoff of double precision.
@@ -38,6 +52,19 @@ class Discrete:
     next_state: ca.SX
     output: ca.SX
 
+    def parts(self) -> tuple[ca.SX, ...]:
+        """All four."""
+        return self.N, self.c, self.next_state, self.output
+
+
+@dataclass(frozen=True, eq=False)
+class Saturated:
+    """The continuous law as (xi', u) in (m, xi, t) with t = tanh(arguments(m, xi)); all are zero at the target."""
+
+    arguments: ca.SX
+    rate: ca.SX
+    u: ca.SX
+
 
 @dataclass(frozen=True, eq=False)
 class LawGraph:
@@ -52,6 +79,10 @@ class LawGraph:
         continuous: (xi', u) as SX in (m, xi).
         discretise: h -> the step.
         constants: symbols in the formulas that stand for numbers, with their exact or enclosed values.
+        settings: what may change at run time; the symbols of what it stores are among the constants.
+        start: h -> the states for which c = 0, as SX in m: the first step then gives the equilibrium input.
+        equilibrium_input: u*, numbers and symbols.
+        saturated: the continuous law with tanh kept apart; None for `passive-output`.
     """
 
     law: Law
@@ -62,36 +93,48 @@ class LawGraph:
     continuous: tuple[ca.SX, ca.SX]
     discretise: Callable[[Fraction], Discrete]
     constants: tuple[tuple[ca.SX, Real], ...]
+    settings: Settings
+    start: Callable[[Fraction], ca.SX]
+    equilibrium_input: ca.SX
+    saturated: Saturated | None = None
 
-    def rounded(self, *expressions: ca.SX) -> list[ca.SX]:
-        """The expressions with every constant replaced by its nearest double."""
-        if not self.constants:
+    @property
+    def stored(self) -> tuple[Stored, ...]:
+        """What the running controller keeps of its settings: what the step uses."""
+        used = ca.vertcat(*[ca.vec(ca.densify(e)) for e in self.discretise(Fraction(1)).parts()])
+        return tuple(s for s in self.settings.stored if ca.depends_on(used, s.symbol))
+
+    def rounded(self, *expressions: ca.SX, keep: Sequence[Stored] = ()) -> list[ca.SX]:
+        """The expressions with every constant replaced by its nearest double, but for those that are kept."""
+        kept = {s.symbol.name() for s in keep}
+        constants = [c for c in self.constants if c[0].name() not in kept]
+        if not constants:
             return list(expressions)
-        symbols = ca.vertcat(*[symbol for symbol, _ in self.constants])
-        values = ca.DM([approximate(value) for _, value in self.constants])
+        symbols = ca.vertcat(*[symbol for symbol, _ in constants])
+        values = ca.DM([approximate(value) for _, value in constants])
         return [ca.substitute(e, symbols, values) if e.numel() else e for e in expressions]
 
 
 @dataclass
 class _Part:
-    """A group of filter states with its saturated terms, to be stacked with others."""
+    """A group of filter states with its saturated terms, to be stacked with others.
+
+    ``rate`` and ``control`` are formulas in t, which stands for tanh(arguments).
+    """
 
     states: ca.SX
     names: list[str]
     rate: ca.SX
     control: ca.SX
     step: Callable[[Fraction, ca.SX], tuple[ca.SX, ca.SX, ca.SX, ca.SX]]
-    channels: int = field(default=0)
+    start: Callable[[Fraction], ca.SX]
+    t: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    arguments: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
 
-
-def column(values: Sequence[Fraction]) -> ca.SX:
-    """Exact numbers as an SX column of doubles."""
-    return ca.SX(ca.DM([float(v) for v in values]))
-
-
-def matrix(rows: Sequence[Sequence[Fraction]]) -> ca.SX:
-    """Exact numbers as a sparse SX matrix of doubles."""
-    return ca.sparsify(ca.SX(ca.DM([[float(v) for v in row] for row in rows])))
+    @property
+    def channels(self) -> int:
+        """The number of saturated arguments."""
+        return int(self.t.numel())
 
 
 def exact_inverse(rows: Matrix) -> Matrix:
@@ -118,54 +161,56 @@ def identity_plus(a: Matrix) -> Matrix:
     return tuple(tuple(v + (i == j) for j, v in enumerate(row)) for i, row in enumerate(a))
 
 
-def _filter_c(alpha: Vector, beta: Vector, K_c: Matrix, R_c: Matrix, deviation: ca.SX) -> _Part:
+def _filter_c(alpha: Sequence[Gain], beta: Sequence[Gain], K_c: Matrix, R_c: Matrix, deviation: ca.SX) -> _Part:
     """(dxc) and its term of u (uc)."""
     m = len(alpha)
     x_c = ca.SX.sym("x_c", m)
-    a, b = column(alpha), column(beta)
-    tanh = ca.tanh(b * (deviation + x_c))
+    a, b, tanh = column(alpha), column(beta), ca.SX.sym("t", m)
     rate = -ca.mtimes(matrix(R_c), a * tanh + ca.mtimes(matrix(K_c), x_c))
 
     def step(h: Fraction, t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         E = exact_inverse(identity_plus(scaled(product(R_c, K_c), h)))
         push = scaled(product(E, R_c), h)
-        N = tuple(tuple(beta[i] * push[i][j] * alpha[j] for j in range(m)) for i in range(m))
-        gain = tuple(tuple(push[i][j] * alpha[j] for j in range(m)) for i in range(m))
+        N = [[times(beta[i], push[i][j], alpha[j]) for j in range(m)] for i in range(m)]
+        gain = [[times(push[i][j], alpha[j]) for j in range(m)] for i in range(m)]
         decayed = ca.mtimes(matrix(E), x_c)
         return matrix(N), b * (deviation + decayed), decayed - ca.mtimes(matrix(gain), t), -a * t
 
-    return _Part(x_c, _numbered("x_c", m), rate, -a * tanh, step, m)
+    def start(h: Fraction) -> ca.SX:
+        return -ca.mtimes(matrix(identity_plus(scaled(product(R_c, K_c), h))), deviation)
+
+    return _Part(x_c, _numbered("x_c", m), rate, -a * tanh, step, start, tanh, b * (deviation + x_c))
 
 
-def _filter_l(law: NaturalDamping, deviation: ca.SX) -> _Part:
+def _filter_l(law: NaturalDamping, alpha: Sequence[Gain], beta: Sequence[Gain], deviation: ca.SX) -> _Part:
     """(dxl) and its term of u (ulc)."""
     m = len(law.alpha_l)
     x_l = ca.SX.sym("x_l", m)
-    a, b = column(law.alpha_l), column(law.beta_l)
+    a, b = column(alpha), column(beta)
     K = tuple(law.K_l[i][i] for i in range(m))
     R = tuple(law.R_l[i][i] for i in range(m))
     driven = ca.mtimes(matrix(law.Upsilon or ()), deviation)
     argument = b * (driven + column(K) * x_l)
 
     def step(h: Fraction, t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        N = tuple(
-            tuple(law.beta_l[i] * K[i] * h * R[i] * law.alpha_l[i] if i == j else Fraction(0) for j in range(m))
-            for i in range(m)
-        )
-        push = column([h * R[i] * law.alpha_l[i] for i in range(m)])
+        N = [[times(beta[i], K[i] * h * R[i], alpha[i]) if i == j else Fraction(0) for j in range(m)] for i in range(m)]
+        push = column([times(h * R[i], alpha[i]) for i in range(m)])
         return matrix(N), argument, x_l - push * t, -a * t
 
-    tanh = ca.tanh(argument)
-    return _Part(x_l, _numbered("x_l", m), -column(R) * a * tanh, -a * tanh, step, m)
+    def start(_: Fraction) -> ca.SX:
+        return -column([1 / k for k in K]) * driven
+
+    tanh = ca.SX.sym("t", m)
+    return _Part(x_l, _numbered("x_l", m), -column(R) * a * tanh, -a * tanh, step, start, tanh, argument)
 
 
-def _filter_psi(law: Integral, deviation: ca.SX) -> _Part:
+def _filter_psi(law: Integral, alpha: Sequence[Gain], beta: Sequence[Gain], deviation: ca.SX) -> _Part:
     """(dpsi) with f_psi = -R_psi psi, Psi = diag(alpha beta sech(beta psi)), linearly implicit in the leak."""
     m = len(law.alpha_psi)
     psi = ca.SX.sym("psi", m)
-    a, b = column(law.alpha_psi), column(law.beta_psi)
+    a, b = column(alpha), column(beta)
     drive = a * b * deviation / ca.cosh(b * psi)
-    limit = column([Fraction(PSI_RANGE) / v for v in law.beta_psi])
+    limit = column([Fraction(PSI_RANGE) / v if isinstance(v, Fraction) else PSI_RANGE / v for v in beta])
 
     def step(h: Fraction, _: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         E = exact_inverse(identity_plus(scaled(law.R_psi, h)))
@@ -175,7 +220,7 @@ def _filter_psi(law: Integral, deviation: ca.SX) -> _Part:
         return ca.SX(0, 0), empty, following, -a * ca.tanh(b * following)
 
     rate = -ca.mtimes(matrix(law.R_psi), psi) + drive
-    return _Part(psi, _numbered("psi", m), rate, -a * ca.tanh(b * psi), step)
+    return _Part(psi, _numbered("psi", m), rate, -a * ca.tanh(b * psi), step, lambda _: ca.SX(m, 1))
 
 
 def _numbered(name: str, m: int) -> list[str]:
@@ -239,25 +284,36 @@ def _chosen(reading: Reading, absolute: bool) -> ca.SX:
 def build(law: Law, measurement: Measurement, point: Point, read: Needs) -> LawGraph:
     """The formulas of a law whose signals can all be read."""
     base = law.base if isinstance(law, Integral) else law
+    gain, system = measurement.settings.gain, measurement.plant.system
+    equilibrium_input = ca.vertcat(
+        *[
+            measurement.star(system.u[i], v, name, system.units.get(name, ""))
+            for i, (name, v) in enumerate(zip(system.input_names, point.u, strict=True))
+        ]
+    )
     if isinstance(base, PassiveOutput):
-        return _passive_output(base, measurement, point, read)
+        return _passive_output(base, measurement, equilibrium_input, read)
     if isinstance(base, NaturalDamping):
-        parts = [_filter_c(base.alpha_c, base.beta_c, base.K_c, base.R_c, read.gamma), _filter_l(base, read.eta)]
+        alpha, beta = gain("alpha_c", base.alpha_c), gain("beta_c", base.beta_c)
+        parts = [_filter_c(alpha, beta, base.K_c, base.R_c, read.gamma)]
+        parts.append(_filter_l(base, gain("alpha_l", base.alpha_l), gain("beta_l", base.beta_l), read.eta))
     else:
-        parts = [_filter_c(base.alpha, base.beta, base.K_c, base.R_c, read.gamma)]
+        parts = [_filter_c(gain("alpha", base.alpha), gain("beta", base.beta), base.K_c, base.R_c, read.gamma)]
     if isinstance(law, Integral):
-        parts.append(_filter_psi(law, read.gamma))
-    equilibrium_input = ca.vertcat(*[measurement.constant(v) for v in point.u])
+        alpha, beta = gain("alpha_psi", law.alpha_psi), gain("beta_psi", law.beta_psi)
+        parts.append(_filter_psi(law, alpha, beta, read.gamma))
     offset = read.potential if isinstance(base, PotentialCompensation) else equilibrium_input
-    return _stack(law, measurement, parts, offset)
+    return _stack(law, measurement, parts, offset, equilibrium_input)
 
 
-def _stack(law: Law, measurement: Measurement, parts: list[_Part], offset: ca.SX) -> LawGraph:
+def _stack(law: Law, measurement: Measurement, parts: list[_Part], offset: ca.SX, equilibrium_input: ca.SX) -> LawGraph:
     xi = ca.vertcat(*[part.states for part in parts])
-    t = ca.SX.sym("t", sum(part.channels for part in parts))
+    t = ca.vertcat(*[part.t for part in parts])
+    arguments = ca.vertcat(*[part.arguments for part in parts])
     names = tuple(name for part in parts for name in part.names)
     u = offset + sum((part.control for part in parts[1:]), parts[0].control)
     rate = ca.vertcat(*[part.rate for part in parts])
+    saturated = [ca.substitute(e, t, ca.tanh(arguments)) for e in (rate, u)]
 
     def discretise(h: Fraction) -> Discrete:
         start, loops, forcings, following = 0, [], [], []
@@ -272,23 +328,54 @@ def _stack(law: Law, measurement: Measurement, parts: list[_Part], offset: ca.SX
             output = output + term
         return Discrete(ca.diagcat(*loops), ca.vertcat(*forcings), ca.vertcat(*following), output)
 
-    return LawGraph(law, measurement.symbols, xi, t, names, (rate, u), discretise, tuple(measurement.constants))
+    def start(h: Fraction) -> ca.SX:
+        return ca.vertcat(*[part.start(h) for part in parts])
+
+    constants, settings = tuple(measurement.constants), measurement.settings
+    return LawGraph(
+        law,
+        measurement.symbols,
+        xi,
+        t,
+        names,
+        (saturated[0], saturated[1]),
+        discretise,
+        constants,
+        settings,
+        start,
+        equilibrium_input,
+        Saturated(arguments, rate, u),
+    )
 
 
-def _passive_output(law: PassiveOutput, measurement: Measurement, point: Point, read: Needs) -> LawGraph:
+def _passive_output(law: PassiveOutput, measurement: Measurement, equilibrium_input: ca.SX, read: Needs) -> LawGraph:
     """(u): ``y + W diag(k_p) tanh(y) = drift + W v`` with ``v = -kappa - alpha tanh(beta gamma~)``."""
     m = len(law.alpha)
     t = ca.SX.sym("t", m)
-    equilibrium_input = ca.vertcat(*[measurement.constant(v) for v in point.u])
-    shaped = equilibrium_input - column(law.alpha) * ca.tanh(column(law.beta) * read.gamma)
-    N = ca.mtimes(read.feedthrough, ca.diag(column(law.k_p)))
+    gain = measurement.settings.gain
+    alpha, beta, k_p = (column(gain(n, v)) for n, v in (("alpha", law.alpha), ("beta", law.beta), ("k_p", law.k_p)))
+    shaped = equilibrium_input - alpha * ca.tanh(beta * read.gamma)
+    N = ca.mtimes(read.feedthrough, ca.diag(k_p))
     c = read.drift + ca.mtimes(read.feedthrough, shaped)
-    output = shaped - column(law.k_p) * t
+    output = shaped - k_p * t
     empty = ca.SX(0, 1)
     y = _solved(c, N)
-    continuous = (empty, shaped - column(law.k_p) * ca.tanh(y))
+    continuous = (empty, shaped - k_p * ca.tanh(y))
     step = Discrete(N, c, empty, output)
-    return LawGraph(law, measurement.symbols, empty, t, (), continuous, lambda h: step, tuple(measurement.constants))
+    constants, settings = tuple(measurement.constants), measurement.settings
+    return LawGraph(
+        law,
+        measurement.symbols,
+        empty,
+        t,
+        (),
+        continuous,
+        lambda h: step,
+        constants,
+        settings,
+        lambda h: empty,
+        equilibrium_input,
+    )
 
 
 def _solved(c: ca.SX, N: ca.SX, steps: int = 40) -> ca.SX:
@@ -329,18 +416,24 @@ class Interface:
     intervals: tuple[tuple[Fraction, Fraction], ...]
     equilibrium_output: tuple[float, ...]
     ranges: Mapping[str, tuple[Fraction, Fraction]]
+    rest: tuple[float, ...] = ()
 
 
 def control_law(
     graph: LawGraph, interface: Interface, h: Fraction, precision: Precision, tanh: Tanh | None = None
 ) -> ControlLaw:
     """The discretised law as data for the emitter and the reference step."""
-    step = graph.discretise(h)
-    N, c, following, output = graph.rounded(step.N, step.c, step.next_state, step.output)
+    step, stored = graph.discretise(h), graph.stored
+    N, c, following, output, start = graph.rounded(*step.parts(), graph.start(h), keep=stored)
     base = graph.law.base if isinstance(graph.law, Integral) else graph.law
     holds = isinstance(base, PotentialCompensation)
-    prepare = Tape.of([graph.m, graph.xi], [c, N])
+    kept = ca.vertcat(*[s.symbol for s in stored]) if stored else ca.SX(0, 1)
+    states = ca.vertcat(graph.xi, kept)
+    prepare = Tape.of([graph.m, states], [c, N])
     tanh = tanh or default_tanh(precision)
+    bounds = _largest_coefficients(graph, h)
+    values = {symbol.name(): value for symbol, value in graph.constants}
+    moving = {s.name: len(graph.names) + k for k, s in enumerate(stored)}
     return ControlLaw(
         interface.name,
         graph.law.name,
@@ -348,16 +441,60 @@ def control_law(
         h,
         interface.inputs,
         interface.outputs,
-        tuple(Signal(name, "", _meaning(name)) for name in graph.names),
+        (
+            *(Signal(name, "", _meaning(name)) for name in graph.names),
+            *(Signal(s.name, s.unit, s.meaning) for s in stored),
+        ),
         prepare,
-        Tape.of([graph.m, graph.xi, graph.t], [following, output]),
-        choose_solves(prepare, precision, tanh),
+        Tape.of([graph.m, states, graph.t], [ca.vertcat(following, kept), output]),
+        choose_solves(prepare, precision, tanh, bounds),
         interface.intervals,
         interface.equilibrium_output,
         Fallback.LAST_OUTPUT if holds else Fallback.EQUILIBRIUM,
         interface.ranges,
         tanh,
+        kept=tuple(approximate(values[s.symbol.name()]) for s in stored),
+        equilibrium_states=tuple(moving.get(str(u)) for u in ca.vertsplit(graph.equilibrium_input)),
+        setters=_setters(graph, stored),
+        coefficient_bounds=bounds,
+        rest=interface.rest,
+        start=Tape.of([graph.m, states], [ca.vertcat(start, kept)]),
     )
+
+
+def _setters(graph: LawGraph, stored: Sequence[Stored]) -> tuple[Setter, ...]:
+    """The functions that change what is stored, one for each group of settings."""
+    settings, first = graph.settings, len(graph.names)
+    result = []
+    for group in ("target", "gains"):
+        own: list[Setting] = [s for s in settings.settings if s.group == group]
+        positions = [k for k, s in enumerate(stored) if s.group == group]
+        if not own or not positions:
+            continue
+        expressions = ca.vertcat(*[stored[k].expression for k in positions])
+        if settings.moving is not None:
+            expressions = settings.moving.with_numbers(expressions)
+        inputs = tuple(SetterInput(Signal(s.name, s.unit), (s.range.lo, s.range.hi), s.value) for s in own)
+        compute = Tape.of([ca.vertcat(*[s.symbol for s in own])], [expressions])
+        result.append(Setter(group, inputs, tuple(first + k for k in positions), compute))
+    return tuple(result)
+
+
+def _largest_coefficients(graph: LawGraph, h: Fraction) -> dict[int, Fraction]:
+    """By channel, a bound of N's diagonal over all measurements and settings, where it is no constant and has one."""
+    ranges = {s.symbol.name(): s.range for s in graph.settings.settings if s.group == "gains"}
+    if not ranges:
+        return {}
+    N = ca.diag(graph.discretise(h).N)
+    tape = Tape.of([graph.m, graph.xi, ca.vertcat(*[symbol for symbol, _ in graph.constants])], [N])
+    unknown: list[list[Real]] = [[undefined()] * graph.m.numel(), [undefined()] * graph.xi.numel()]
+    given = [
+        enclose(ranges[symbol.name()].lo, ranges[symbol.name()].hi) if symbol.name() in ranges else value
+        for symbol, value in graph.constants
+    ]
+    with precision_of_balls(BITS):
+        entries = tape.walk(REAL, [*unknown, given])[0].dense(ZERO)
+    return {k: upper(row[0]) for k, row in enumerate(entries) if is_finite(row[0])}
 
 
 _STATE_MEANING = {

@@ -95,6 +95,32 @@ class Fallback(Enum):
 
 
 @dataclass(frozen=True)
+class SetterInput:
+    """A number that the caller may set, its exact bounds, and its value at the start."""
+
+    signal: Signal
+    range: tuple[Fraction, Fraction]
+    value: Fraction
+
+
+@dataclass(frozen=True)
+class Setter:
+    """A function of the package that changes numbers which the state stores.
+
+    Attributes:
+        group: ``target`` or ``gains``.
+        inputs: what the caller gives.
+        states: positions of the stored numbers among the states.
+        compute: tape from the inputs to the stored numbers.
+    """
+
+    group: str
+    inputs: tuple[SetterInput, ...]
+    states: tuple[int, ...]
+    compute: Tape
+
+
+@dataclass(frozen=True)
 class ControlLaw:
     """A discretised saturated controller.
 
@@ -105,7 +131,8 @@ class ControlLaw:
         sample_period: h in seconds, exact.
         inputs: the measured signals, in the order of m.
         outputs: the actuator signals, in the order of u.
-        states: the controller states, in the order of xi; every one starts at zero.
+        states: the controller states, in the order of xi: those of the filters, which start at zero, then the numbers
+            that setters change.
         prepare: tape with inputs (m, xi) and outputs (c: ns x 1, N: ns x ns sparse).
         update: tape with inputs (m, xi, t) and outputs (next xi, u). ``u`` is not yet clamped.
         solves: which rows of the loop equation are solved together; they partition 0..ns-1.
@@ -114,6 +141,12 @@ class ControlLaw:
         fallback: the output for non-finite inputs.
         ranges: for each input the declared range (lo, hi), where there is one; documentation, not a check.
         tanh: how the code computes tanh; see :mod:`pbcgen.control.hyperbolic`.
+        kept: the first values of the last states, which a step does not change.
+        equilibrium_states: for each output the position of -kappa among the states, or None where it is a constant.
+        setters: the functions that change the kept states.
+        coefficient_bounds: bounds of N[i, i], by channel, where it is computed and bounded.
+        rest: the measurements at the target.
+        start: tape (m, xi) -> the xi from which a step at m gives the equilibrium input; None if there is none.
     """
 
     name: str
@@ -131,6 +164,22 @@ class ControlLaw:
     fallback: Fallback
     ranges: Mapping[str, tuple[Fraction, Fraction]] = field(default_factory=dict)
     tanh: Tanh = "libm"
+    kept: tuple[float, ...] = ()
+    equilibrium_states: tuple[int | None, ...] = ()
+    setters: tuple[Setter, ...] = ()
+    coefficient_bounds: Mapping[int, Fraction] = field(default_factory=dict)
+    rest: tuple[float, ...] = ()
+    start: Tape | None = None
+
+    @property
+    def initial(self) -> tuple[float, ...]:
+        """The first value of every state."""
+        return (0.0,) * (len(self.states) - len(self.kept)) + self.kept
+
+    @property
+    def moves(self) -> bool:
+        """Whether the equilibrium input of some output is a state."""
+        return any(position is not None for position in self.equilibrium_states)
 
     @property
     def channels(self) -> int:

@@ -15,11 +15,12 @@ from math import lcm
 import casadi as ca
 from flint import fmpq
 
+from pbcgen.control.settings import Settings
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.factor import Coefficients
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
-from pbcgen.symbolic.real import BITS, Real, approximate, fraction, precision, rational, sign, text
+from pbcgen.symbolic.real import BITS, Real, approximate, fraction, precision, rational, text
 from pbcgen.symbolic.tape import exact_decimal
 
 
@@ -66,13 +67,24 @@ class Measurement:
     plant: Plant
     point: Point
     symbols: ca.SX
-    constants: list[tuple[ca.SX, Real]] = field(default_factory=list)
+    settings: Settings = field(default_factory=Settings)
 
     @staticmethod
-    def of(plant: Plant, point: Point) -> Measurement:
+    def of(plant: Plant, point: Point, settings: Settings | None = None) -> Measurement:
         """One symbol for each measured signal, in the order of the controller's input."""
         names = plant.system.measured_names
-        return Measurement(plant, point, ca.vertcat(*[ca.SX.sym(name) for name in names]))
+        symbols = ca.vertcat(*[ca.SX.sym(name) for name in names])
+        return Measurement(plant, point, symbols, settings or Settings())
+
+    @property
+    def constants(self) -> list[tuple[ca.SX, Real]]:
+        """The symbols in the formulas that stand for numbers, with their exact or enclosed values."""
+        return self.settings.constants
+
+    def star(self, signal: ca.SX, value: Real, name: str, unit: str = "") -> ca.SX:
+        """The value of a signal e(x, u) at the target, for use in formulas; it moves if the target may."""
+        moving = self.settings.star(signal, value, f"{name}_star", unit)
+        return self.constant(value) if moving is None else moving
 
     def constant(self, value: Real) -> ca.SX:
         """A number for use in formulas."""
@@ -88,7 +100,7 @@ class Measurement:
             return self._combination(signal, name)
         except (UnsupportedOperation, ZeroDivisionError) as reason:
             if set(_states_of(self.plant, signal)) <= set(self._direct()):
-                return self._nonlinear(signal)
+                return self._nonlinear(signal, name)
             return Unreadable(name, f"{reason}", None)
 
     def _direct(self) -> dict[str, ca.SX]:
@@ -107,11 +119,11 @@ class Measurement:
         value = values.scalar(field.const(0))
         affine = _affine(value.numerator.to_dict(), field.symbol_count) if value.is_polynomial() else None
         if affine is None or any(field.names[k] not in self._direct() for k in affine):
-            return self._with_rest(rest, weights)
+            return self._with_rest(rest, weights, name)
         total = {field.names[k]: fraction(c) for k, c in affine.items()}
         for key, weight in weights.items():
             total[key] = total.get(key, Fraction(0)) + weight
-        return self._affine_reading(signal, {k: c for k, c in total.items() if c})
+        return self._affine_reading(signal, {k: c for k, c in total.items() if c}, name)
 
     def _weights(self, signal: ca.SX) -> dict[str, Fraction] | None:
         """Constants c with ``e - sum c_j h_j`` independent of the states that are not measured as such."""
@@ -146,31 +158,32 @@ class Measurement:
             return None
         return {str(k): fraction(v) for k, v in solution.items() if v != 0}
 
-    def _affine_reading(self, signal: ca.SX, weights: Mapping[str, Fraction]) -> Reading:
-        symbols = dict(zip(self.plant.system.measured_names, ca.vertsplit(self.symbols), strict=True))
-        stars = self._at_target([self.plant.system.measured[name] for name in weights] + [signal])
-        terms = [
-            self.constant(rational(c)) * (symbols[name] - self.constant(star))
-            for (name, c), star in zip(weights.items(), stars, strict=False)
-        ]
+    def _affine_reading(self, signal: ca.SX, weights: Mapping[str, Fraction], name: str) -> Reading:
+        terms = [self.constant(rational(c)) * moved for c, moved in self._moved(weights)]
         deviation = sum(terms[1:], terms[0]) if terms else ca.SX(0)
-        return Reading(deviation, deviation + self.constant(stars[-1]), dict(weights))
+        (star,) = self._at_target([signal])
+        return Reading(deviation, deviation + self.star(signal, star, name), dict(weights))
 
-    def _with_rest(self, rest: ca.SX, weights: Mapping[str, Fraction]) -> Reading:
-        symbols = dict(zip(self.plant.system.measured_names, ca.vertsplit(self.symbols), strict=True))
-        linear = self._affine_reading(rest, weights) if weights else None
-        nonlinear = self._nonlinear(rest)
-        if linear is None:
+    def _moved(self, weights: Mapping[str, Fraction]) -> list[tuple[Fraction, ca.SX]]:
+        """Each weight with the deviation of its measured signal from the target."""
+        system = self.plant.system
+        symbols = dict(zip(system.measured_names, ca.vertsplit(self.symbols), strict=True))
+        stars = self._at_target([system.measured[name] for name in weights])
+        return [
+            (c, symbols[name] - self.star(system.measured[name], star, name, system.units.get(name, "")))
+            for (name, c), star in zip(weights.items(), stars, strict=True)
+        ]
+
+    def _with_rest(self, rest: ca.SX, weights: Mapping[str, Fraction], name: str) -> Reading:
+        nonlinear = self._nonlinear(rest, name)
+        if not weights:
             return nonlinear
-        stars = self._at_target([self.plant.system.measured[name] for name in weights])
-        pairs = list(zip(weights.items(), stars, strict=True))
-        combined = sum((self.constant(rational(c)) * symbols[name] for (name, c), _ in pairs), ca.SX(0))
-        moved = sum(
-            (self.constant(rational(c)) * (symbols[name] - self.constant(star)) for (name, c), star in pairs), ca.SX(0)
-        )
+        symbols = dict(zip(self.plant.system.measured_names, ca.vertsplit(self.symbols), strict=True))
+        combined = sum((self.constant(rational(c)) * symbols[key] for key, c in weights.items()), ca.SX(0))
+        moved = sum((self.constant(rational(c)) * deviation for c, deviation in self._moved(weights)), ca.SX(0))
         return Reading(nonlinear.deviation + moved, nonlinear.value + combined, None)
 
-    def _nonlinear(self, signal: ca.SX) -> Reading:
+    def _nonlinear(self, signal: ca.SX, name: str) -> Reading:
         """Substitute measured states; hidden ones, on which the signal does not depend, take their target values."""
         system = self.plant.system
         direct = self._direct()
@@ -183,7 +196,8 @@ class Measurement:
         if self.plant.parameter_names:
             value = ca.substitute(value, self.plant.parameter_symbols, parameters)
         (star,) = self._at_target([signal])
-        deviation = value - self.constant(star) if sign(star) != 0 else value
+        own = self.star(signal, star, name)
+        deviation = value if own.is_zero() else value - own
         return Reading(deviation, value, None)
 
     def _at_target(self, signals: Sequence[ca.SX]) -> list[Real]:

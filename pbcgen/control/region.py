@@ -18,7 +18,7 @@ from flint import arb
 from numpy.typing import NDArray
 
 from pbcgen.control.derive import Derivation
-from pbcgen.control.graph import matrix
+from pbcgen.control.settings import matrix
 from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput
 from pbcgen.passivity.shaping import add, multiply, transpose
 from pbcgen.proof.claim import Status

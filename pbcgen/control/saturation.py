@@ -60,15 +60,21 @@ def amplitudes(law: Law) -> tuple[Fraction, ...]:
     return tuple(law.alpha)
 
 
-def saturation(plant: Plant, design: Design, law: Law, point: Point) -> Saturation:
-    """Bound every input and compare with the actuator limits."""
+def saturation(
+    plant: Plant, design: Design, law: Law, point: Point, equilibrium_inputs: Sequence[Range] | None = None
+) -> Saturation:
+    """Bound every input and compare with the actuator limits.
+
+    ``equilibrium_inputs`` are ranges of u* to take instead of the entries of ``point.u``.
+    """
     base = law.base if isinstance(law, Integral) else law
     sizes = amplitudes(law)
     with precision(BITS):
+        centres: list[Range | None]
         if isinstance(base, PotentialCompensation):
             centres = _potential_ranges(plant)
         else:
-            centres = [Range(u, u) for u in point.u]
+            centres = list(equilibrium_inputs or [Range(u, u) for u in point.u])
         ranges = tuple(
             None if c is None else Range(c.lo - rational(a), c.hi + rational(a))
             for c, a in zip(centres, sizes, strict=True)

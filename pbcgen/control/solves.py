@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Final
@@ -22,14 +22,20 @@ BLOCK_ITERATIONS: Final = 40
 #: Beyond any mu that occurs; the Newton iterations grow with log(mu) only.
 _UNKNOWN: Final = Fraction(10) ** 9
 
+#: A mu that is computed in float is at most this much above its exact value.
+_ROUNDED: Final = 1 + Fraction(1, 10**5)
+
 
 def with_tanh(law: ControlLaw, tanh: Tanh) -> ControlLaw:
     """The same law with another tanh, and the solves that suit it."""
-    return replace(law, tanh=tanh, solves=choose_solves(law.prepare, law.precision, tanh))
+    solves = choose_solves(law.prepare, law.precision, tanh, law.coefficient_bounds)
+    return replace(law, tanh=tanh, solves=solves)
 
 
-def choose_solves(prepare: Tape, precision: Precision, tanh: Tanh) -> tuple[ScalarSolve | VectorSolve, ...]:
-    """The solves for the N of a law's prepare tape.
+def choose_solves(
+    prepare: Tape, precision: Precision, tanh: Tanh, bounds: Mapping[int, Fraction] | None = None
+) -> tuple[ScalarSolve | VectorSolve, ...]:
+    """The solves for the N of a law's prepare tape; ``bounds`` has the largest mu of channels whose mu is computed.
 
     Channels that N couples are solved together. An uncoupled channel whose mu is a constant needs one evaluation of
     the fast tanh in float; every other one is solved by Newton's method.
@@ -42,17 +48,17 @@ def choose_solves(prepare: Tape, precision: Precision, tanh: Tanh) -> tuple[Scal
             solves.append(VectorSolve(tuple(block), BLOCK_ITERATIONS, 64 * unit))
             continue
         mu = entries.get((block[0], block[0]), Fraction(0))
-        solves.append(_scalar(block[0], mu, precision, tanh))
+        solves.append(_scalar(block[0], mu, precision, tanh, (bounds or {}).get(block[0], _UNKNOWN)))
     return tuple(solves)
 
 
-def _scalar(index: int, mu: Fraction | None, precision: Precision, tanh: Tanh) -> ScalarSolve:
+def _scalar(index: int, mu: Fraction | None, precision: Precision, tanh: Tanh, largest: Fraction) -> ScalarSolve:
     if mu is not None and mu > 0 and precision == "float" and tanh == "fast":
         rounded = Fraction(float(nearest(mu, precision, f"the coefficient N[{index}, {index}]")))
         taylor = taylor_solve(rounded)
         if taylor is not None:
             return ScalarSolve(index, 0, taylor.error_bound, taylor)
-    bound = scalar_iterations(_UNKNOWN if mu is None else mu, precision)
+    bound = scalar_iterations(largest * _ROUNDED if mu is None else mu, precision)
     return ScalarSolve(index, bound.iterations, bound.error)
 
 

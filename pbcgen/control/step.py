@@ -7,7 +7,7 @@ libraries differ (tanh, sin, ...), a few units in the last place.
 One step
 --------
 1. A state that is not finite, or whose sum of squares is above STATE_LIMIT^2, is set to its initial value; the status
-   is then at least STATE_RESET.
+   is then at least STATE_RESET. Numbers that a setter may change are states that start at the declared values.
 2. A measurement that is not finite: the output is the fallback of the law, the state is kept, INVALID_INPUT.
 3. *prepare*: c and N. Unless a computed N is finite and a computed mu >= 0, and c is finite for a block or a channel
    without Newton or Taylor step: fallback output, state kept, OUT_OF_RANGE.
@@ -77,6 +77,7 @@ class StepStatus(IntEnum):
     OUT_OF_RANGE = 3
     INVALID_INPUT = 4
     INVALID_ARGUMENT = 5
+    INVALID_SETTING = 6
 
 
 class ReferenceStep:
@@ -94,6 +95,7 @@ class ReferenceStep:
         self.low: Array = np.array([low for low, _ in bounds], self.dtype)
         self.high: Array = np.array([high for _, high in bounds], self.dtype)
         self.equilibrium: Array = np.array(equilibrium_output(law), self.dtype)
+        self.initial: Array = np.array(initial_state(law), self.dtype)
         self._algebra = NumpyAlgebra(law.precision, law.tanh)
         self._limit = nearest(STATE_LIMIT[law.precision] ** 2, law.precision)
         self._tanh = tanh_of(law)
@@ -126,12 +128,15 @@ class ReferenceStep:
     def _step(self, m: Array, xi: Array, held: Array) -> tuple[Array, Array, NDArray[np.int32]]:
         status = np.zeros(len(m), np.int32)
         corrupted = ~(_sum_of_squares(xi) <= self._limit)
+        xi[corrupted] = self.initial
         if self.law.fallback is Fallback.LAST_OUTPUT:
             held = np.where((held >= self.low) & (held <= self.high), held, self.equilibrium)
             held[corrupted] = self.equilibrium
         else:
             held[:] = self.equilibrium
-        xi[corrupted] = 0
+            for k, position in enumerate(self.law.equilibrium_states):
+                if position is not None:
+                    held[:, k] = clamped(xi[:, position], self.low[k], self.high[k])
         _raise_to(status, corrupted, StepStatus.STATE_RESET)
 
         next_xi, u, converged, in_range = self._evaluate(m, xi)
@@ -140,7 +145,7 @@ class ReferenceStep:
         invalid = ~np.all(np.isfinite(m), axis=1)
         _raise_to(status, invalid, StepStatus.INVALID_INPUT)
         keep = (invalid | ~in_range)[:, None]
-        u = np.where(u >= self.low, np.where(u <= self.high, u, self.high), self.low)
+        u = clamped(u, self.low, self.high)
         return np.where(keep, xi, next_xi), np.where(keep, held, u), status
 
     def _evaluate(self, m: Array, xi: Array) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
@@ -161,8 +166,39 @@ class ReferenceStep:
                 t[:, rows], ok = solve_block(N[:, rows[:, None], rows], c[:, rows, 0], solve, self._tanh)
                 converged &= ok
         next_xi, u = self._walk(self.law.update, batch, m, xi, t)
-        in_range &= _sum_of_squares(np.hstack([next_xi[:, :, 0], u[:, :, 0]])) <= self._limit
+        moved = next_xi[:, : len(self.law.states) - len(self.law.kept), 0]
+        in_range &= _sum_of_squares(np.hstack([moved, u[:, :, 0]])) <= self._limit
         return next_xi[:, :, 0], u[:, :, 0], converged, in_range
+
+    def set(self, group: str, xi: Array, values: Array) -> tuple[Array, StepStatus]:
+        """The state (nxi,) after the caller has set a target or gains, and the status, as ``<p>_set_<group>``."""
+        setter = next(s for s in self.law.setters if s.group == group)
+        given = np.asarray(values, self.dtype)
+        for value, item in zip(given, setter.inputs, strict=True):
+            low, high = inward(item.range, self.law.precision, f"the range of `{item.signal.name}`")
+            if not low <= value <= high:
+                return xi, StepStatus.INVALID_SETTING
+        with np.errstate(all="ignore"):
+            (stored,) = self._walk(setter.compute, 1, given[None, :])
+            if not _sum_of_squares(stored[:, :, 0])[0] <= self._limit:
+                return xi, StepStatus.OUT_OF_RANGE
+        result = np.array(xi, self.dtype)
+        result[list(setter.states)] = stored[0, :, 0]
+        return result, StepStatus.OK
+
+    def start(self, xi: Array, measurement: Array) -> tuple[Array, StepStatus]:
+        """The state (nxi,) of a bumpless start, and the status, as ``<p>_start_at``."""
+        assert self.law.start is not None
+        m, state = np.asarray(measurement, self.dtype), np.array(xi, self.dtype)
+        if not np.all(np.isfinite(m)):
+            return state, StepStatus.INVALID_INPUT
+        with np.errstate(all="ignore"):
+            (started,) = self._walk(self.law.start, 1, m[None, :], state[None, :])
+            own = started[:, : len(self.law.states) - len(self.law.kept), 0]
+            if not _sum_of_squares(own)[0] <= self._limit:
+                return state, StepStatus.OUT_OF_RANGE
+        state[: own.shape[1]] = own[0]
+        return state, StepStatus.OK
 
     def _walk(self, tape: Any, batch: int, *inputs: Array) -> list[Array]:
         """The outputs of a tape as arrays of shape (batch, rows, columns)."""
@@ -174,6 +210,21 @@ class ReferenceStep:
                 array[:, row, column] = value
             arrays.append(array)
         return arrays
+
+
+def initial_state(law: ControlLaw) -> tuple[np.float32 | np.float64, ...]:
+    """The first value of every state in the precision of the law. Raises EmitError for one that does not fit."""
+    names = [signal.name for signal in law.states]
+    return tuple(
+        nearest(Fraction(value), law.precision, f"the initial value of `{name}`")
+        for name, value in zip(names, law.initial, strict=True)
+    )
+
+
+def clamped(values: Array, low: Array, high: Array) -> Array:
+    """The values in [low, high]; NaN gives low."""
+    result: Array = np.where(values >= low, np.where(values <= high, values, high), low)
+    return result
 
 
 def equilibrium_output(law: ControlLaw) -> tuple[np.float32 | np.float64, ...]:

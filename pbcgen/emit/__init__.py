@@ -12,6 +12,7 @@
 The algorithm of a step is specified in :mod:`pbcgen.control.step`.
 """
 
+from pbcgen.emit.lowering import Extras
 from pbcgen.emit.package import Package, Provenance, render
 
-__all__ = ["Package", "Provenance", "render"]
+__all__ = ["Extras", "Package", "Provenance", "render"]

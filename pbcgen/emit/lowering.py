@@ -9,9 +9,18 @@ from fractions import Fraction
 import numpy as np
 
 from pbcgen.control.hyperbolic import COSH, DENOMINATOR, DOUBLINGS, FAST_ERROR, FAST_ULP, NUMERATOR
-from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, Signal, Taylor, VectorSolve
+from pbcgen.control.law import (
+    ControlLaw,
+    Fallback,
+    Precision,
+    ScalarSolve,
+    Setter,
+    Signal,
+    Taylor,
+    VectorSolve,
+)
 from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
-from pbcgen.control.step import channels_to_check, check_solves, equilibrium_output
+from pbcgen.control.step import channels_to_check, check_solves, equilibrium_output, initial_state
 from pbcgen.emit.expressions import Graph, Node, Printer, Statement
 from pbcgen.emit.identifiers import Scope
 from pbcgen.emit.literals import literal
@@ -26,20 +35,39 @@ from pbcgen.emit.program import (
     Program,
     ScalarCall,
     ScalarFunction,
+    SetterFunction,
+    SettingMember,
+    StartFunction,
     StateMember,
     TaylorFunction,
 )
+from pbcgen.emit.selftest import self_test
 from pbcgen.errors import EmitError
 from pbcgen.symbolic.tape import Matrix
 
 
-def program_of(law: ControlLaw, prefix: str) -> Program:
+@dataclass(frozen=True)
+class Extras:
+    """Functions that a package has on demand.
+
+    Attributes:
+        start: ``<p>_start_at``, a start without a jump.
+        selftest: ``<p>_selftest``, a comparison with expected outputs.
+    """
+
+    start: bool = False
+    selftest: bool = False
+
+
+def program_of(law: ControlLaw, prefix: str, extras: Extras = Extras()) -> Program:
     """Lower ``law`` to C texts. Raises EmitError for what cannot be written, ValueError for an inconsistent law."""
     if not law.inputs or not law.outputs:
         raise EmitError(f"the law of `{law.name}` has no inputs or no outputs: there is nothing to step")
     check_solves(law)
-    outputs = _outputs(law)
-    members = _Members(_inputs(law), outputs, _states(law, outputs))
+    scope = _state_scope(law)
+    outputs = _outputs(law, scope)
+    members = _Members(_inputs(law), outputs, _states(law, outputs, scope))
+    setters = tuple(_setter(law, prefix, setter, members) for setter in law.setters)
     functions = _SolverFunctions.of(law, prefix, _constant_mus(law))
     return Program(
         prefix=prefix,
@@ -55,7 +83,10 @@ def program_of(law: ControlLaw, prefix: str) -> Program:
         scalar_functions=tuple(functions.scalar.values()),
         block_functions=tuple(functions.block.values()),
         body=_body(law, prefix, members, functions),
-        renamed=_renamed(members),
+        renamed=_renamed(members, setters),
+        setters=setters,
+        start=_start(law, prefix, members) if extras.start else None,
+        selftest=self_test(law) if extras.selftest else None,
     )
 
 
@@ -128,12 +159,28 @@ def _inputs(law: ControlLaw) -> tuple[InputMember, ...]:
     return tuple(InputMember(s, scope.claim(s.name), law.ranges.get(s.name)) for s in law.inputs)
 
 
-def _outputs(law: ControlLaw) -> tuple[OutputMember, ...]:
+def _state_scope(law: ControlLaw) -> dict[str, str]:
+    """The C names of the controller's states; held outputs have the first choice."""
+    scope = Scope()
+    if law.fallback is Fallback.LAST_OUTPUT:
+        outputs = Scope()
+        scope.taken |= {f"last_{outputs.claim(signal.name)}" for signal in law.outputs}
+    return {signal.name: scope.claim(signal.name) for signal in law.states}
+
+
+def _outputs(law: ControlLaw, state_names: Mapping[str, str]) -> tuple[OutputMember, ...]:
     scope, macros = Scope(), Scope()
     members = []
-    for signal, interval, equilibrium in zip(law.outputs, law.intervals, equilibrium_output(law), strict=True):
+    positions = law.equilibrium_states or (None,) * len(law.outputs)
+    rows = zip(law.outputs, law.intervals, equilibrium_output(law), positions, strict=True)
+    for signal, interval, equilibrium, position in rows:
         name = scope.claim(signal.name)
         low, high = inward(interval, law.precision, f"the interval of `{signal.name}`")
+        fallback = literal(equilibrium)
+        if law.fallback is Fallback.LAST_OUTPUT:
+            fallback = f"state->last_{name}"
+        elif position is not None:
+            fallback = f"state->{state_names[law.states[position].name]}"
         members.append(
             OutputMember(
                 signal=signal,
@@ -143,28 +190,26 @@ def _outputs(law: ControlLaw) -> tuple[OutputMember, ...]:
                 low=literal(low),
                 high=literal(high),
                 equilibrium=literal(equilibrium),
-                fallback=f"state->last_{name}" if law.fallback is Fallback.LAST_OUTPUT else literal(equilibrium),
+                fallback=fallback,
                 next=f"out_{name}",
             )
         )
     return tuple(members)
 
 
-def _states(law: ControlLaw, outputs: Sequence[OutputMember]) -> tuple[StateMember, ...]:
+def _states(law: ControlLaw, outputs: Sequence[OutputMember], names: Mapping[str, str]) -> tuple[StateMember, ...]:
     """The controller states and, where the law holds its last output, the outputs."""
-    scope = Scope()
-    zero = literal(nearest(Fraction(0), law.precision))
     held = []
     if law.fallback is Fallback.LAST_OUTPUT:
         for output in outputs:
             name = f"last_{output.c_name}"
-            scope.taken.add(name)
             signal = Signal(name, output.signal.unit, "last valid output")
-            held.append(StateMember(signal, name, output.equilibrium, f"output->{output.c_name}", is_memory=False))
+            held.append(StateMember(signal, name, output.equilibrium, f"output->{output.c_name}", "held output"))
     memory = []
-    for signal in law.states:
-        name = scope.claim(signal.name)
-        memory.append(StateMember(signal, name, zero, f"next_{name}", is_memory=True))
+    first = len(law.states) - len(law.kept)
+    for k, (signal, value) in enumerate(zip(law.states, initial_state(law), strict=True)):
+        role = "state" if k < first else "setting"
+        memory.append(StateMember(signal, names[signal.name], literal(value), f"next_{names[signal.name]}", role))
     return (*memory, *held)
 
 
@@ -188,11 +233,12 @@ def _fast_tanh(precision: Precision) -> FastTanh:
     )
 
 
-def _renamed(members: _Members) -> tuple[tuple[str, str], ...]:
-    everything: tuple[InputMember | OutputMember | StateMember, ...] = (
+def _renamed(members: _Members, setters: Sequence[SetterFunction]) -> tuple[tuple[str, str], ...]:
+    everything: tuple[InputMember | OutputMember | StateMember | SettingMember, ...] = (
         *members.inputs,
         *members.outputs,
         *members.states,
+        *(member for setter in setters for member in setter.inputs),
     )
     return tuple(sorted({(m.signal.name, m.c_name) for m in everything if m.signal.name != m.c_name}))
 
@@ -285,8 +331,48 @@ def _update_roots(law: ControlLaw, graph: Graph, members: _Members, t_names: Seq
     zero = graph.const(Fraction(0))
     t = [graph.name(name) for name in t_names]
     next_xi, u = law.update.walk(graph, [*members.arguments(graph), t])
-    roots = dict(zip([member.next for member in members.memory], next_xi.column(zero), strict=True))
+    following = zip(members.memory, next_xi.column(zero), strict=True)
+    roots = {member.next: root for member, root in following if member.role == "state"}
     return roots | dict(zip([member.next for member in members.outputs], u.column(zero), strict=True))
+
+
+def _setter(law: ControlLaw, prefix: str, setter: Setter, members: _Members) -> SetterFunction:
+    """The function that changes what the state stores."""
+    scope, macros = Scope(), Scope()
+    inputs = []
+    for item in setter.inputs:
+        name = scope.claim(item.signal.name)
+        low, high = inward(item.range, law.precision, f"the range of `{item.signal.name}`")
+        start = nearest(item.value, law.precision, f"the value of `{item.signal.name}`")
+        macro = macros.claim(name.strip("_").upper())
+        inputs.append(SettingMember(item.signal, name, macro, item.range, literal(low), literal(high), literal(start)))
+    graph = Graph()
+    arguments = [graph.name(f"{setter.group}->{member.c_name}") for member in inputs]
+    (stored,) = setter.compute.walk(graph, [arguments])
+    body, stores, helpers = _storing(law, prefix, graph, [members.states[k] for k in setter.states], stored)
+    return SetterFunction(setter.group, tuple(inputs), body, stores, helpers)
+
+
+def _start(law: ControlLaw, prefix: str, members: _Members) -> StartFunction | None:
+    """The function that starts the controller without a jump; None for a law without filters."""
+    own = [(k, member) for k, member in enumerate(members.states) if member.role == "state"]
+    if law.start is None or not own:
+        return None
+    graph = Graph()
+    (started,) = law.start.walk(graph, members.arguments(graph))
+    zero = graph.const(Fraction(0))
+    rows = Matrix((len(own), 1), {(k, 0): started.column(zero)[k] for k, _ in own})
+    return StartFunction(*_storing(law, prefix, graph, [member for _, member in own], rows))
+
+
+def _storing(
+    law: ControlLaw, prefix: str, graph: Graph, targets: Sequence[StateMember], values: Matrix[Node]
+) -> tuple[tuple[Statement, ...], tuple[tuple[str, str], ...], frozenset[str]]:
+    """Statements that compute values, (member, local variable) of each, and the helpers they call."""
+    roots = dict(zip([f"new_{t.c_name}" for t in targets], values.column(graph.const(Fraction(0))), strict=True))
+    printer = Printer(graph, law.precision, prefix, list(roots.values()))
+    body = _named_stage(printer, roots)
+    return body, tuple((t.c_name, root) for t, root in zip(targets, roots, strict=True)), printer.helpers
 
 
 def _named_stage(printer: Printer, roots: Mapping[str, Node]) -> tuple[Statement, ...]:

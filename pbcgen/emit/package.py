@@ -14,7 +14,7 @@ from pbcgen.control.law import ControlLaw, ScalarSolve
 from pbcgen.control.step import StepStatus
 from pbcgen.emit import wording
 from pbcgen.emit.identifiers import package_prefix
-from pbcgen.emit.lowering import program_of
+from pbcgen.emit.lowering import Extras, program_of
 from pbcgen.emit.program import Program
 from pbcgen.emit.templating import fill
 from pbcgen.errors import EmitError
@@ -87,15 +87,16 @@ def render(
     prefix: str | None = None,
     extra_files: Mapping[str, str] | None = None,
     figures: Sequence[Figures] = (),
+    extras: Extras | None = None,
 ) -> Package:
     """The package of ``law``. ``extra_files`` (name -> text) join it and its manifest: the certificate.
 
-    ``figures``, if measured, go into README and manifest.
+    ``figures``, if measured, go into README and manifest. ``extras`` are functions on demand.
 
     Raises EmitError for what cannot be written in C: a constant that the precision cannot hold, a prefix that is no
     identifier; UnsupportedOperation for an operation without a C form.
     """
-    program = program_of(law, package_prefix(prefix, law.name))
+    program = program_of(law, package_prefix(prefix, law.name), extras or Extras())
     context = _context(law, provenance, program) | {"figures": figures}
     names = {
         f"{program.prefix}.h": "header.h.j2",
@@ -136,6 +137,8 @@ def _context(law: ControlLaw, provenance: Provenance, program: Program) -> dict[
         **vars(program.constants),
         "upper": program.upper,
         "holds": program.holds,
+        "moves": program.moves,
+        "helpers": program.helpers,
         "channels": law.channels,
         "input_texts": [f"input->{member.c_name}" for member in program.inputs],
         "checks_finite": any("_is_finite(" in check for check in program.body.prepare_checks)
@@ -165,6 +168,7 @@ def _statuses(law: ControlLaw, program: Program) -> tuple[StatusName, ...]:
     return tuple(
         StatusName(f"{program.upper}_{status.name}", int(status), wording.status_meaning(status, law))
         for status in StepStatus
+        if law.setters or status is not StepStatus.INVALID_SETTING
     )
 
 
@@ -239,10 +243,8 @@ def _manifest(
             }
             for m in program.outputs
         ],
-        "states": [
-            _signal(m) | {"initial": m.initial, "role": "state" if m.is_memory else "held output"}
-            for m in program.states
-        ],
+        "states": [_signal(m) | {"initial": m.initial, "role": m.role} for m in program.states],
+        **_functions(program),
         "fallback": wording.fallback_text(law),
         "statuses": [asdict(status) for status in _statuses(law, program)],
         "solves": [_solve(solve) for solve in law.solves],
@@ -261,6 +263,24 @@ def _manifest(
         return json.dumps(document, indent=2, sort_keys=True, allow_nan=False) + "\n"
     except (TypeError, ValueError) as error:
         raise EmitError(f"the manifest cannot hold the derived facts: {error}") from error
+
+
+def _functions(program: Program) -> dict[str, Any]:
+    """The functions beside init and step; nothing where there are none."""
+    result: dict[str, Any] = {}
+    if program.setters:
+        result["settings"] = {
+            setter.group: [
+                _signal(m) | {"range": _bounds(m.interval), "emitted_bounds": [m.low, m.high], "start": m.start}
+                for m in setter.inputs
+            ]
+            for setter in program.setters
+        }
+    if program.start:
+        result["bumpless_start"] = f"{program.prefix}_start_at"
+    if program.selftest:
+        result["selftest"] = f"{program.prefix}_selftest"
+    return result
 
 
 def _signal(member: Any) -> dict[str, Any]:

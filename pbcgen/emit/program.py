@@ -58,13 +58,21 @@ class OutputMember:
 
 @dataclass(frozen=True)
 class StateMember:
-    """A number that the controller keeps. ``is_memory`` is false for an output that is kept as a fallback."""
+    """A number that the controller keeps.
+
+    ``role`` is "state", "setting" for one that only setters change, "held output" for one kept as a fallback.
+    """
 
     signal: Signal
     c_name: str
     initial: str
     next: str
-    is_memory: bool
+    role: str
+
+    @property
+    def is_memory(self) -> bool:
+        """Whether the law reads it."""
+        return self.role != "held output"
 
 
 @dataclass(frozen=True)
@@ -154,6 +162,48 @@ class Body:
 
 
 @dataclass(frozen=True)
+class SettingMember:
+    """A number that the caller may set: its bounds as macros and literals."""
+
+    signal: Signal
+    c_name: str
+    macro: str
+    interval: tuple[Fraction, Fraction]
+    low: str
+    high: str
+    start: str
+
+
+@dataclass(frozen=True)
+class SetterFunction:
+    """``<p>_set_<group>``: what it is given, the statements, and what it stores (member, expression)."""
+
+    group: str
+    inputs: tuple[SettingMember, ...]
+    body: tuple[Statement, ...]
+    stores: tuple[tuple[str, str], ...]
+    helpers: frozenset[str]
+
+
+@dataclass(frozen=True)
+class StartFunction:
+    """``<p>_start_at``: the statements, and what it stores (member, expression)."""
+
+    body: tuple[Statement, ...]
+    stores: tuple[tuple[str, str], ...]
+    helpers: frozenset[str]
+
+
+@dataclass(frozen=True)
+class SelfTest:
+    """``<p>_selftest``: rows of measurements, expected outputs and tolerances."""
+
+    measurements: tuple[tuple[str, ...], ...]
+    expected: tuple[tuple[str, ...], ...]
+    tolerances: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Program:
     """All C texts of one package. ``read`` are the numbers that a step reads: states and inputs."""
 
@@ -171,6 +221,9 @@ class Program:
     block_functions: tuple[BlockFunction, ...]
     body: Body
     renamed: tuple[tuple[str, str], ...]
+    setters: tuple[SetterFunction, ...] = ()
+    start: StartFunction | None = None
+    selftest: SelfTest | None = None
 
     @property
     def upper(self) -> str:
@@ -181,3 +234,14 @@ class Program:
     def holds(self) -> bool:
         """Whether the last valid output is kept as the fallback."""
         return any(not member.is_memory for member in self.states)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the fallback of some output is a setting of the state."""
+        return not self.holds and any(member.fallback.startswith("state->") for member in self.outputs)
+
+    @property
+    def helpers(self) -> frozenset[str]:
+        """Functions of the package that the printed code calls."""
+        start = self.start.helpers if self.start else frozenset()
+        return self.body.helpers.union(start, *(setter.helpers for setter in self.setters))

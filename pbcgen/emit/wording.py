@@ -35,6 +35,7 @@ UNPROVED: Final[dict[str, str]] = {
     "asymptotically-stable": "the closed loop was not proved to be asymptotically stable",
     "globally-asymptotically-stable": "the closed loop was not proved to be globally asymptotically stable",
     "sampled-stable": "the loop was not proved to be stable at this sample period",
+    "adjustable": "the claims were not proved for every target and gain that may be set",
 }
 
 _STATUS_MEANINGS: Final[dict[StepStatus, str]] = {
@@ -44,6 +45,7 @@ _STATUS_MEANINGS: Final[dict[StepStatus, str]] = {
     StepStatus.OUT_OF_RANGE: "the computation overflowed; the state was kept, the outputs are {fallback}",
     StepStatus.INVALID_INPUT: "a measurement is NaN or infinite; the state was kept, the outputs are {fallback}",
     StepStatus.INVALID_ARGUMENT: "a pointer is null; nothing was read, the outputs are {equilibrium}",
+    StepStatus.INVALID_SETTING: "a target or gain is outside its range or NaN; nothing was changed (by setters only)",
 }
 
 #: Rules of MISRA C:2012 that the code does not follow, and why.

@@ -15,6 +15,9 @@ from pbcgen.models.exact import Number, exact, positive
 from pbcgen.models.expressions import check_finite, check_symbols, depends, entries, shaped, suggestion
 from pbcgen.models.laws import Integral, Law, PotentialCompensation
 from pbcgen.models.limits import InputSet, Limits
+from pbcgen.models.ranges import Range, RangeLike
+from pbcgen.models.ranges import gain_ranges as _gain_ranges
+from pbcgen.models.ranges import target_box as _target_box
 from pbcgen.models.source import Call, called_by_user, users_call
 
 if TYPE_CHECKING:
@@ -76,6 +79,8 @@ class Design:
         duration: length of simulations in seconds; None leaves it to the slowest mode of the closed loop.
         description: a sentence for reports.
         call: where the user made it, if in a file.
+        target_box: ranges of the conditions of the target that the C may change (``<p>_set_target``).
+        gain_ranges: ranges of the gains that the C may change (``<p>_set_gains``), one for each input.
     """
 
     model: Model
@@ -91,6 +96,8 @@ class Design:
     duration: Fraction | None
     description: str
     call: Call | None
+    target_box: Mapping[str, Range]
+    gain_ranges: Mapping[str, tuple[Range, ...]]
 
     def __init__(
         self,
@@ -106,6 +113,8 @@ class Design:
         initial: Mapping[str, Number] | Sequence[Number] | None = None,
         duration: Number | None = None,
         description: str = "",
+        target_box: Mapping[str, Sequence[Number]] | None = None,
+        gain_ranges: Mapping[str, RangeLike] | None = None,
     ) -> None:
         """Check and store the design.
 
@@ -121,6 +130,9 @@ class Design:
             initial: x(0), by state name (others are 0) or n values.
             duration: length of simulations in seconds, positive; five time constants of the slowest mode by default.
             description: a sentence for reports.
+            target_box: ``{name: (lowest, highest)}`` for conditions of the target that the running controller may
+                change; the claims that code needs are proved for the whole box.
+            gain_ranges: ``{gain: (lowest, highest)}``, or a list of pairs, one for each input, for gains likewise.
 
         Raises:
             ModelError: naming the entry that is wrong and what was expected.
@@ -132,10 +144,11 @@ class Design:
         lowered = system.lower()
         _check_law(law, lowered)
         _check_limits(limits, lowered)
+        wanted = _target(target, lowered)
         values = {
             "model": system,
             "system": lowered,
-            "target": _target(target, lowered),
+            "target": wanted,
             "law": law,
             "limits": limits,
             "sample_period": positive(sample_period, "the sample period"),
@@ -146,6 +159,8 @@ class Design:
             "duration": None if duration is None else positive(duration, "the duration"),
             "description": description,
             "call": users_call(),
+            "target_box": MappingProxyType(_target_box(target_box, wanted)),
+            "gain_ranges": MappingProxyType(_gain_ranges(gain_ranges, law, lowered.m)),
         }
         for key, value in values.items():
             object.__setattr__(self, key, value)
@@ -169,6 +184,8 @@ class Design:
             "initial": self.initial,
             "duration": self.duration,
             "description": self.description,
+            "target_box": {name: (r.lo, r.hi) for name, r in self.target_box.items()},
+            "gain_ranges": {name: [(r.lo, r.hi) for r in rs] for name, rs in self.gain_ranges.items()},
         }
         for name in changes:
             if name not in arguments:

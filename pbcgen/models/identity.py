@@ -44,6 +44,9 @@ def _lines(design: Design) -> Iterator[str]:
     yield from (f"target {c.name} = {c.value}" for c in design.target.conditions)
     yield from (f"near {name} = {design.near[name]}" for name in system.state_names if name in design.near)
     yield from _law(design.law)
+    yield from (f"adjustable target {name} {r.lo} {r.hi}" for name, r in design.target_box.items())
+    for name, ranges in design.gain_ranges.items():
+        yield from (f"adjustable gain {name} {i + 1} {r.lo} {r.hi}" for i, r in enumerate(ranges))
     yield from _limits(design)
     yield f"sample period {design.sample_period}"
     yield f"precision {design.precision}"

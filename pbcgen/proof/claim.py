@@ -34,10 +34,18 @@ CLAIMS = (
     "asymptotically-stable",
     "globally-asymptotically-stable",
     "sampled-stable",
+    "adjustable",
 )
 
-#: Code is emitted when these are PROVED (or allowed by name).
-EMISSION_CLAIMS = ("equilibrium", "measurability", "saturation", "asymptotically-stable", "sampled-stable")
+#: Code is emitted when these are PROVED (or allowed by name); `adjustable` concerns designs with settings only.
+EMISSION_CLAIMS = (
+    "equilibrium",
+    "measurability",
+    "saturation",
+    "asymptotically-stable",
+    "sampled-stable",
+    "adjustable",
+)
 
 #: The method of a claim that an earlier one kept from being looked at.
 NOT_REACHED = "not reached"

@@ -102,6 +102,13 @@ class Emulated:
         raw = self._machine.read(self._output, self._size * len(self.interface.outputs))
         return np.frombuffer(raw, dtype).copy(), status, count
 
+    def set(self, group: str, values: ArrayLike) -> tuple[int, int]:
+        """Call ``<p>_set_<group>``: (status, instructions). Raises ToolchainError if the package has none."""
+        self._machine.write(self._input, np.asarray(values, self.interface.dtype).tobytes())
+        return self._machine.call(
+            self._image.address(f"{self.interface.prefix}_set_{group}"), (self._state, self._input)
+        )
+
     @property
     def state(self) -> bytes:
         """The state struct."""
@@ -209,7 +216,7 @@ class Image:
             directory = Path(name)
             for file in (f"{prefix}.c", f"{prefix}.h"):
                 (directory / file).write_text(files[file], encoding="utf-8")
-            (directory / "main.c").write_text(_main(prefix), encoding="utf-8")
+            (directory / "main.c").write_text(_main(interface), encoding="utf-8")
             (directory / "include").mkdir()
             (directory / "include" / "math.h").write_text(_math_header(files[f"{prefix}.c"]), encoding="utf-8")
             compiling, linking = _commands(target, compiler, directory)
@@ -253,14 +260,20 @@ def _sections(elf: Any) -> dict[str, int]:
     return sizes
 
 
-def _main(prefix: str) -> str:
+def _main(interface: Interface) -> str:
+    """A program that links every function of the package."""
+    prefix = interface.prefix
+    more = [
+        f"    static {prefix}_{group}_t the_{group};\n    {prefix}_set_{group}(&the_state, &the_{group});\n"
+        for group, _ in interface.settings
+    ]
     return (
         f'#include "{prefix}.h"\n'
         f"{prefix}_state_t the_state;\n"
         f"static {prefix}_input_t the_input;\n"
         f"static {prefix}_output_t the_output;\n"
         "int main(void)\n{\n"
-        f"    {prefix}_init(&the_state);\n"
+        f"    {prefix}_init(&the_state);\n{''.join(more)}"
         f"    return (int){prefix}_step(&the_state, &the_input, &the_output);\n}}\n"
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbcgen.control.rounding import DTYPES
-from pbcgen.control.step import equilibrium_output
+from pbcgen.control.step import equilibrium_output, initial_state
 
 if TYPE_CHECKING:
     from pbcgen.control.closed_loop import ClosedLoop
@@ -38,7 +38,7 @@ def questions(
     dtype = DTYPES[law.precision]
     nm, start = len(law.inputs), np.array(equilibrium_output(law), dtype)
     m = np.array(loop.measure.map(len(run.times))(run.x.T)).reshape(nm, -1).T.astype(dtype)
-    xi = np.vstack([np.zeros((1, len(law.states))), run.xi[:-1]]).astype(dtype)
+    xi = np.vstack([np.array(initial_state(law), dtype)[None, :], memory(law, run)[:-1]]).astype(dtype)
     random = _inputs(law, loop, np.hstack([m, xi]), generator, samples)
     bounds = np.array([[float(lo), float(hi)] for lo, hi in law.intervals])
     last = generator.uniform(bounds[:, 0], bounds[:, 1], (len(random), len(bounds)))
@@ -52,12 +52,17 @@ def questions(
     return question, np.arange(len(question.m)) < len(m)
 
 
+def memory(law: ControlLaw, run: Trajectory) -> Array:
+    """The states of the controller along a run (N, nxi), with the settings, which stay what they are."""
+    return np.hstack([run.xi, np.tile(np.array(law.kept), (len(run.xi), 1))])
+
+
 def _inputs(
     law: ControlLaw, loop: ClosedLoop, trajectory: Array, generator: np.random.Generator, samples: int
 ) -> Array:
     """Random (m, xi) near the equilibrium, of any magnitude, with any bits in m, and special values."""
     dtype, nm = trajectory.dtype, len(law.inputs)
-    middle = np.concatenate([np.array(loop.measure(loop.x_star), dtype=float).ravel(), np.zeros(len(law.states))])
+    middle = np.concatenate([np.array(loop.measure(loop.x_star), dtype=float).ravel(), np.array(law.initial)])
     span = np.abs(trajectory - middle).max(axis=0)
     span[span == 0] = 1.0
     size = (max(samples // 4, 1), len(middle))

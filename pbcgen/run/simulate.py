@@ -105,7 +105,7 @@ class PythonStepper:
 
     def reset(self) -> None:
         """Set the state to zero."""
-        self._xi: NDArray[Any] = np.zeros(len(self._step.law.states), self._step.dtype)
+        self._xi: NDArray[Any] = self._step.initial.copy()
         self._held: NDArray[Any] | None = None
 
     def advance(self, measurement: ArrayLike) -> NDArray[Any]:

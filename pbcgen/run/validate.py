@@ -18,7 +18,7 @@ from pbcgen.control.step import ReferenceStep, StepStatus
 from pbcgen.emit.package import Provenance, render
 from pbcgen.errors import ToolchainError
 from pbcgen.run.agreement import Allowance
-from pbcgen.run.questions import questions
+from pbcgen.run.questions import memory, questions
 from pbcgen.run.simulate import (
     Stepper,
     Tolerance,
@@ -30,7 +30,7 @@ from pbcgen.run.wrapper import Controller
 
 if TYPE_CHECKING:
     from pbcgen.control.closed_loop import ClosedLoop
-    from pbcgen.control.law import ControlLaw
+    from pbcgen.control.law import ControlLaw, Setter
     from pbcgen.emit.package import Package
 
 Array = NDArray[Any]
@@ -38,6 +38,12 @@ Array = NDArray[Any]
 #: The error must fall with at least this order when h is halved. First order is what the method has; a bias that
 #: does not vanish with h pulls the observed order below 1.
 LEAST_ORDER = 0.75
+
+#: What C and Python store of a setting may differ by so many units in the last place: their math libraries do.
+SETTINGS_ULP = 64.0
+
+#: An ulp of a stored number is at least that of this share of the largest setting: numbers near zero are differences.
+_SETTING_SCALE = 1e-2
 
 #: Multiple of the integrator's relative tolerance below which an error says nothing of the sampling.
 _FLOOR = 1000.0
@@ -129,8 +135,27 @@ class OutputRange:
 
 
 @dataclass(frozen=True)
+class SettingsCheck:
+    """What the C stores after targets and gains were set, against the Python step.
+
+    Attributes:
+        samples: how many were set: corners, random ones, and ones that must be refused.
+        refused: how many of them both refused, leaving the state as it was.
+        ulp: the largest difference of a stored number, in units of the last place of the largest on its way.
+        mismatches: samples for which the statuses differ, or a refused one changed the state.
+        passed: no mismatch, and at most SETTINGS_ULP.
+    """
+
+    samples: int
+    refused: int
+    ulp: float
+    mismatches: int
+    passed: bool
+
+
+@dataclass(frozen=True)
 class Validation:
-    """The three tests of one controller."""
+    """The tests of one controller; ``settings`` only where there are any."""
 
     design: str
     precision: str
@@ -139,11 +164,13 @@ class Validation:
     agreement: Agreement
     convergence: Convergence
     outputs: tuple[OutputRange, ...]
+    settings: SettingsCheck | None = None
 
     @property
     def passed(self) -> bool:
-        """Whether all three tests passed."""
-        return self.agreement.passed and self.convergence.passed and all(o.passed for o in self.outputs)
+        """Whether all tests passed."""
+        settings = self.settings is None or self.settings.passed
+        return settings and self.agreement.passed and self.convergence.passed and all(o.passed for o in self.outputs)
 
     def as_json(self) -> dict[str, Any]:
         """All figures, ready for ``json.dumps``; numbers that are not finite become null."""
@@ -156,7 +183,7 @@ class Validation:
             "agreement": _plain(asdict(self.agreement)),
             "convergence": _plain(asdict(self.convergence)),
             "outputs": [_plain(asdict(output)) for output in self.outputs],
-        }
+        } | ({} if self.settings is None else {"settings": _plain(asdict(self.settings))})
 
 
 def validate(
@@ -235,7 +262,8 @@ def validate_controller(
     convergence, runs = observe_order(loop, stepper, h, count)
     tell("limits")
     outputs = check_limits(law, [u_random, run.u, *(sampled.u for sampled in runs)])
-    return Validation(law.name, law.precision, h, seed, agreement, convergence, outputs)
+    settings = check_settings(law, controller, np.random.default_rng(seed)) if law.setters else None
+    return Validation(law.name, law.precision, h, seed, agreement, convergence, outputs, settings)
 
 
 def compare(
@@ -259,10 +287,10 @@ def compare(
     python = _Answer(np.hstack([xi, u[:, :held]]), u, status)
     compared = python.status != StepStatus.NOT_CONVERGED
     reset = (python.status == StepStatus.STATE_RESET)[:, None]
-    xi_allowed, u_allowed = Allowance(law)(before.m, np.where(reset, 0, before.xi))
+    xi_allowed, u_allowed = Allowance(law)(before.m, np.where(reset, step.initial, before.xi))
     allowed = np.hstack([u_allowed, xi_allowed, u_allowed[:, :held]])
     halves = np.array([float(hi - lo) / 2 for lo, hi in law.intervals])
-    scale = np.concatenate([halves, np.abs(run.xi).max(axis=0), halves[:held]])
+    scale = np.concatenate([halves, np.abs(memory(law, run)).max(axis=0), halves[:held]])
     unit = np.maximum(np.abs(python.values.astype(float)), scale) * float(np.finfo(step.dtype).eps)
     error = _difference(c.values, python.values)
     ulp, share = _quotient(error, unit), _quotient(error, _allowed(allowed, python.values))
@@ -340,6 +368,48 @@ def check_limits(law: ControlLaw, outputs: Sequence[Array]) -> tuple[OutputRange
             smallest = largest = math.nan
         result.append(OutputRange(signal.name, interval, smallest, largest, sum(map(len, outputs)), passed))
     return tuple(result)
+
+
+def check_settings(law: ControlLaw, controller: Controller, generator: np.random.Generator) -> SettingsCheck:
+    """Set corners, random values and refused ones in C and in Python, and compare what is stored."""
+    step = ReferenceStep(law)
+    epsilon = float(np.finfo(step.dtype).eps)
+    samples = refused = mismatches = 0
+    ulp = 0.0
+    for setter in law.setters:
+        names = [item.signal.name for item in setter.inputs]
+        for values in _settings(setter, generator):
+            controller.reset()
+            before = controller.xi.copy()
+            own = before[: len(law.states)]
+            expected, status = step.set(setter.group, own, np.array(values))
+            given = dict(zip(names, values, strict=True))
+            found = controller.set_target(**given) if setter.group == "target" else controller.set_gains(**given)
+            samples += 1
+            same = controller.interface.statuses.index(found) == list(StepStatus).index(status)
+            if status is StepStatus.OK:
+                after = controller.xi[: len(law.states)]
+                scale = np.maximum(np.abs(expected.astype(float)), max(abs(v) for v in values) * _SETTING_SCALE)
+                ulp = max(ulp, _largest(_quotient(_difference(after, expected), epsilon * scale)))
+            else:
+                refused += 1
+                same = same and np.array_equal(controller.xi, before, equal_nan=True)
+            mismatches += not same
+    controller.reset()
+    return SettingsCheck(samples, refused, ulp, mismatches, mismatches == 0 and ulp <= SETTINGS_ULP)
+
+
+def _settings(setter: Setter, generator: np.random.Generator) -> list[list[float]]:
+    """Corners (of few settings), random points inside, and points with one value outside or special."""
+    bounds = [(float(item.range[0]), float(item.range[1])) for item in setter.inputs]
+    middle = [float(item.value) for item in setter.inputs]
+    rows = [list(corner) for corner in itertools.islice(itertools.product(*bounds), 64)]
+    rows += [[float(generator.uniform(lo, hi)) for lo, hi in bounds] for _ in range(200)]
+    for k, (lo, hi) in enumerate(bounds):
+        width = hi - lo
+        for value in (lo - width / 100, hi + width / 100, math.nan, math.inf, -math.inf):
+            rows.append([*middle[:k], value, *middle[k + 1 :]])
+    return rows
 
 
 def _order(coarse: float, fine: float) -> float:

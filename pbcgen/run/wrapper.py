@@ -42,6 +42,16 @@ void driver_map(const {real} *rows, const {real} *states, size_t count, {real} *
 """
 
 
+def _declarations(interface: Interface) -> str:
+    lines = [_DECLARATIONS.format(real=interface.precision)]
+    lines += [f"int driver_set_{g}(void *state, const {interface.precision} *values);" for g, _ in interface.settings]
+    if interface.bumpless:
+        lines.append(f"int driver_start_at(void *state, const {interface.precision} *row);")
+    if interface.selftest:
+        lines.append("int driver_selftest(void);")
+    return "\n".join(lines)
+
+
 @dataclass(frozen=True)
 class Member:
     """A signal as the user names it, and the C struct member that carries it."""
@@ -60,6 +70,8 @@ class Interface:
         inputs, outputs, states: members of the three structs. Members of the state struct that are not listed are
             kept between the steps of one controller but cannot be read or written.
         statuses: the enumerators of ``<p>_status_t``; the first one means success.
+        settings: the groups of numbers that can be set (``target``, ``gains``), with their members.
+        bumpless, selftest: whether the package has ``<p>_start_at`` and ``<p>_selftest``.
     """
 
     prefix: str
@@ -68,6 +80,9 @@ class Interface:
     outputs: tuple[Member, ...]
     states: tuple[Member, ...]
     statuses: tuple[str, ...]
+    settings: tuple[tuple[str, tuple[Member, ...]], ...] = ()
+    bumpless: bool = False
+    selftest: bool = False
 
     @staticmethod
     def of_manifest(text: str) -> Interface:
@@ -80,11 +95,16 @@ class Interface:
             )
             statuses = tuple(str(entry["c_name"]) for entry in document["statuses"])
             prefix, precision = str(document["prefix"]), document["precision"]
+            settings = tuple(
+                (str(group), tuple(Member(str(e["name"]), str(e["c_name"])) for e in document["settings"][group]))
+                for group in sorted(document.get("settings", {}))
+            )
+            more = ("bumpless_start" in document, "selftest" in document)
         except (ValueError, KeyError, TypeError) as error:
             raise ToolchainError(f"`{MANIFEST}` does not describe a package ({error!r}): generate it again") from error
         if precision not in DTYPES:
             raise ToolchainError(f"`{MANIFEST}` names the precision `{precision}`: generate the package again")
-        return Interface(prefix, precision, inputs, outputs, states, statuses)
+        return Interface(prefix, precision, inputs, outputs, states, statuses, settings, *more)
 
     @property
     def dtype(self) -> np.dtype[np.floating[Any]]:
@@ -134,7 +154,7 @@ class Controller:
         try:
             library = _build(files, interface, build, compiler or find_compiler(), tuple(flags))
             self._ffi = FFI()
-            self._ffi.cdef(_DECLARATIONS.format(real=interface.precision))
+            self._ffi.cdef(_declarations(interface))
             self._library: Any = _load(self._ffi, library)
         except BaseException:
             self._clean()
@@ -201,9 +221,48 @@ class Controller:
         u = self.advance(np.array(row, dtype=self.interface.dtype))
         return {member.name: float(value) for member, value in zip(self.interface.outputs, u, strict=True)}
 
+    def set_target(self, **values: float) -> str:
+        """Another target: call ``<p>_set_target``. Returns the status, which :attr:`status` keeps too.
+
+        Raises ModelError if the target of the package is fixed, or a value is missing or unknown.
+        """
+        return self._set("target", values)
+
+    def set_gains(self, **values: float) -> str:
+        """Other gains: call ``<p>_set_gains``. Returns the status; errors are those of :meth:`set_target`."""
+        return self._set("gains", values)
+
+    def start_at(self, **inputs: float) -> str:
+        """Start without a jump from these measurements: call ``<p>_start_at``. Returns the status.
+
+        Raises ModelError if the package has no such function, or an input is missing or unknown.
+        """
+        if not self.interface.bumpless:
+            raise ModelError("this package has no start without a jump: generate it with --bumpless")
+        row = np.array(_ordered(self.interface.inputs, inputs, "input"), dtype=self.interface.dtype)
+        self._status = self.status_name(self._open().driver_start_at(self._state, self._read(row)))
+        return self._status
+
+    def selftest(self) -> int:
+        """Run ``<p>_selftest``: 0, or the number of the first step that differs. Raises ModelError if there is none."""
+        if not self.interface.selftest:
+            raise ModelError("this package has no self-test: generate it with --selftest")
+        return int(self._open().driver_selftest())
+
+    def _set(self, group: str, values: Mapping[str, float]) -> str:
+        members = dict(self.interface.settings).get(group)
+        if members is None:
+            option = "target_box" if group == "target" else "gain_ranges"
+            raise ModelError(f"the {group} of this package cannot be changed: give the design `{option}`")
+        with np.errstate(over="ignore"):
+            row = np.array(_ordered(members, values, "setting"), dtype=self.interface.dtype)
+        set_group = getattr(self._open(), f"driver_set_{group}")
+        self._status = self.status_name(set_group(self._state, self._read(row)))
+        return self._status
+
     @property
     def status(self) -> str:
-        """The status of the last step: the C enumerator."""
+        """The status of the last step or setting: the C enumerator."""
         return self._status
 
     @property
@@ -321,6 +380,9 @@ def _driver(interface: Interface) -> str:
         outputs=interface.outputs,
         states=interface.states,
         statuses=interface.statuses,
+        settings=interface.settings,
+        bumpless=interface.bumpless,
+        selftest=interface.selftest,
     )
 
 

@@ -1,0 +1,105 @@
+"""What may be set while the controller runs: targets in a box, and gains in ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+from pbcgen.errors import ModelError
+from pbcgen.models.exact import Number, exact
+from pbcgen.models.expressions import suggestion
+from pbcgen.models.gains import Vector
+from pbcgen.models.laws import Law, gains
+
+if TYPE_CHECKING:
+    from pbcgen.models.design import Target
+
+#: The gains that a running controller may change: those that enter the step as factors.
+RUNTIME_GAINS = ("alpha", "beta", "k_p", "alpha_c", "beta_c", "alpha_l", "beta_l", "alpha_psi", "beta_psi")
+
+#: A range for every channel, or one for each.
+RangeLike = Sequence[Number] | Sequence[Sequence[Number]]
+
+
+@dataclass(frozen=True)
+class Range:
+    """A closed interval with exact bounds, lo < hi."""
+
+    lo: Fraction
+    hi: Fraction
+
+
+def target_box(given: Mapping[str, Sequence[Number]] | None, target: Target) -> dict[str, Range]:
+    """The ranges of the adjustable conditions of a target, in the order of the target.
+
+    Raises ModelError for a name that the target does not have, and for a range that does not hold the target's value.
+    """
+    values = {c.name: c.value for c in target.conditions}
+    for name in given or {}:
+        if name not in values:
+            raise ModelError(
+                f"target_box names `{name}`, which is no condition of the target: {suggestion(name, values)}"
+            )
+    return {
+        name: _holding(_range((given or {})[name], what), [value], what, "the target")
+        for name, value in values.items()
+        if name in (given or {})
+        for what in [f"target_box `{name}`"]
+    }
+
+
+def gain_ranges(given: Mapping[str, RangeLike] | None, law: Law, m: int) -> dict[str, tuple[Range, ...]]:
+    """The ranges of the adjustable gains, one for each input.
+
+    Raises ModelError for a gain that the law does not have or that cannot change, and for a range without its value.
+    """
+    own = gains(law.resolve(m))
+    free = {name: value for name, value in own.items() if name in RUNTIME_GAINS}
+    for name in given or {}:
+        if name in own and name not in free:
+            raise ModelError(
+                f"gain_ranges names `{name}`: it enters the step through an inverse matrix and cannot change at run "
+                f"time; {', '.join(free)} can"
+            )
+        if name not in free:
+            raise ModelError(f"gain_ranges names `{name}`, which is no gain of the law: {suggestion(name, free)}")
+    result = {}
+    for name, value in free.items():
+        if given and name in given:
+            result[name] = _ranges(given[name], value, f"gain_ranges `{name}`")  # type: ignore[arg-type]
+    return result
+
+
+def _ranges(given: Any, value: Vector, what: str) -> tuple[Range, ...]:
+    rows = list(given) if _is_pairs(given) else [given] * len(value)
+    if len(rows) != len(value):
+        raise ModelError(f"{what} has {len(rows)} ranges: one, or {len(value)} (one for each input), were expected")
+    ranges = tuple(_holding(_range(row, what), [v], what, "the gain") for row, v in zip(rows, value, strict=True))
+    if any(r.lo <= 0 for r in ranges):
+        raise ModelError(f"{what} reaches to zero or below: gains are positive")
+    return ranges
+
+
+def _is_pairs(given: Any) -> bool:
+    return isinstance(given, list | tuple) and bool(given) and all(isinstance(row, list | tuple) for row in given)
+
+
+def _range(given: Any, what: str) -> Range:
+    if isinstance(given, str) or not isinstance(given, Sequence) or len(given) != 2:
+        raise ModelError(f"{what} is {given!r}: a pair (lowest, highest) was expected")
+    lo, hi = (exact(v, what) for v in given)
+    if not lo < hi:
+        raise ModelError(f"{what} is ({given[0]}, {given[1]}): the lowest value must be below the highest")
+    return Range(lo, hi)
+
+
+def _holding(found: Range, values: Sequence[Fraction], what: str, of: str) -> Range:
+    for value in values:
+        if not found.lo <= value <= found.hi:
+            raise ModelError(
+                f"{what} is ({float(found.lo):g}, {float(found.hi):g}): "
+                f"it must hold the value that {of} has, {float(value):g}"
+            )
+    return found

@@ -1,0 +1,224 @@
+"""Targets and gains that a running controller may be given: what is proved of the box, and what is refused."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from pbcgen import AffineSystem, Design, DynamicExtension, Limits, pipeline
+from pbcgen.control.cells import Loops
+from pbcgen.control.linearisation import period_matrix
+from pbcgen.errors import ModelError, NotProved
+from pbcgen.models.loader import load
+from pbcgen.passivity.plant import Plant
+from pbcgen.passivity.target_map import NotExplicit, TargetMap, target_map
+from pbcgen.proof.claim import Status
+from pbcgen.run.simulate import simulate_sampled
+from pbcgen.run.wrapper import Controller
+from pbcgen.symbolic.real import approximate, rational
+
+RLC = load("rlc")
+BOX = {"x3": ("2.9", "3.0515")}
+
+
+def adjustable(design: Design):
+    return next(c for c in pipeline.check(design).claims if c.claim == "adjustable")
+
+
+def spring(force, **options) -> Design:
+    """A mass on a nonlinear spring: x1' = x2, x2' = -force(x1) - x2 + u."""
+    x1, x2, u = (ca.SX.sym(n) for n in ("x1", "x2", "u"))
+    energy = {"cubic": x1**4 / 4, "linear": x1**2 / 2, "sine": 1 - ca.cos(x1)}[force]
+    push = {"cubic": x1**3, "linear": x1, "sine": ca.sin(x1)}[force]
+    system = AffineSystem(
+        x=[x1, x2], u=[u], f=[x2, -push - x2], g=[0, 1], S=x2**2 / 2 + energy, measured=["x1"], gamma=[x1]
+    )
+    given = {"target": {"x1": "0.5"}, "limits": Limits.symmetric(5), "sample_period": "1e-3"} | options
+    return Design(system, law=DynamicExtension(alpha=2, beta=2, K_c=1, R_c=1), name="spring", **given)
+
+
+def test_designs_without_settings_have_no_such_claim() -> None:
+    assert "adjustable" not in [c.claim for c in pipeline.check(RLC).claims]
+
+
+def test_a_box_of_targets_is_proved_up_to_the_limit_of_the_actuator() -> None:
+    claim = adjustable(RLC.with_(target_box=BOX))
+    assert claim.status is Status.PROVED
+    assert claim.domain == "x3 in [2.9, 3.0515]"
+
+
+def test_a_target_beyond_the_actuator_is_a_counterexample() -> None:
+    claim = adjustable(RLC.with_(target_box={"x3": ("2.9", "3.06")}))
+    assert claim.status is Status.REFUTED
+    assert claim.counterexample == {"x3": "3.06"}
+    assert "exceeded by 0.0085" in claim.evidence
+
+
+def test_the_inverted_pendulum_is_inside_the_box_and_refuted() -> None:
+    design = spring("sine", target_box={"x1": (0, "3.1")}, target={"x1": "0.5"})
+    weak = design.with_(law=DynamicExtension(alpha="0.2", beta=1, K_c=1, R_c=1), limits=None)
+    claim = adjustable(weak)
+    assert claim.status is Status.REFUTED
+    assert "not stable" in claim.evidence or "Hessian" in claim.evidence
+
+
+def test_an_unstable_cell_inside_the_box_is_never_proved(monkeypatch) -> None:
+    """Both ends are stable, the middle (the upright pendulum) is not."""
+    design = spring("sine", target_box={"x1": ("0.5", "5.8")})
+    weak = design.with_(law=DynamicExtension(alpha="0.2", beta=1, K_c=1, R_c=1), limits=None)
+    monkeypatch.setattr("pbcgen.control.box._CELLS", 100)
+    assert adjustable(weak).status is Status.UNDECIDED
+
+
+def test_conditions_that_depend_on_each_other_are_refuted() -> None:
+    design = spring("linear", target={"x1": "0.5", "x2": 0}, target_box={"x2": (-1, 1)})
+    claim = adjustable(design)
+    assert claim.status is Status.REFUTED
+    assert "not independent" in claim.evidence
+
+
+def test_a_target_without_explicit_equilibrium_is_undecided_with_advice() -> None:
+    design = spring("cubic")
+    x1 = design.system.x[0]
+    design = design.with_(target={"force": (x1**3 + x1, "0.625")}, target_box={"force": ("0.5", 1)})
+    claim = adjustable(design)
+    assert claim.status is Status.UNDECIDED
+    assert "no explicit solution for x1" in claim.evidence
+    assert "fixed" in claim.hint
+    with pytest.raises(NotProved, match="adjustable is UNDECIDED"):
+        pipeline.package(pipeline.check(design))
+
+
+def test_the_map_solves_through_an_exponential() -> None:
+    p, x3 = RLC.system.parameters, RLC.system.x[2]
+    current = p["a"] * (ca.exp(x3 / p["b"]) - 1)
+    design = RLC.with_(target={"i_D": (current, "0.0199")}, target_box={"i_D": ("0.015", "0.0199")})
+    found = target_map(Plant(design.system), design)
+    assert isinstance(found, TargetMap)
+    (values,) = found.walk(found.tape(ca.vertcat(found.x, found.u)), [rational(2) / 100])
+    assert approximate(values[2]) == pytest.approx(np.log(200001) / 4, rel=1e-14)
+
+
+def test_the_map_is_an_equilibrium_of_the_arm() -> None:
+    arm = load("pera").with_(target_box={"q1": (-2, 0), "q2": (0, "1.6"), "q3": (0, 1)})
+    found = target_map(Plant(arm.system), arm)
+    assert isinstance(found, TargetMap)
+    (values,) = found.walk(found.tape(ca.vertcat(found.x, found.u)), [rational(-1), rational(1), rational(0)])
+    assert [approximate(v) for v in values] == pytest.approx([-1, 1, 0, 0, 0, 0, 0, 1.5696 * np.sin(1), 0])
+
+
+def test_too_few_conditions_are_not_explicit() -> None:
+    design = spring("linear", target_box={"x1": (0, 1)})
+    object.__setattr__(design.target, "conditions", ())
+    assert isinstance(target_map(Plant(design.system), design), NotExplicit)
+
+
+@pytest.mark.parametrize("name", ["rlc", "coupling_device", "pera_integral"])
+def test_the_loops_over_a_point_are_those_of_the_linearisation(name: str) -> None:
+    design = load(name)
+    alpha = {"alpha_c" if name == "coupling_device" else "alpha"}
+    if name == "pera_integral":
+        alpha = {"alpha_psi"}
+    values = {n: [(v / 2, v) for v in _gains(design)[n]] for n in alpha}
+    derivation = pipeline.check(design.with_(gain_ranges=values)).derivation
+    situation, graph = derivation.situation, derivation.graph
+    assert situation is not None
+    assert graph is not None
+    loops = Loops.of(situation.plant, situation.point, graph, design.sample_period)
+    middle = [rational(s.value) for s in graph.settings.settings]
+    jets = loops.at(middle)
+    sampled = period_matrix(situation.loop, design.sample_period)
+    for kind, matrix in (("hurwitz", situation.loop.continuous()), ("schur", sampled)):
+        expected = np.array([[approximate(v) for v in row] for row in matrix])
+        found = np.array([[float(v.mid()) for v in row] for row in jets[kind].value.tolist()])
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+        step = [v * (rational(10**6 + 1) / 10**6) if k == 0 else v for k, v in enumerate(middle)]
+        moved = np.array([[float(v.mid()) for v in row] for row in loops.at(step)[kind].value.tolist()])
+        slope = (moved - found) / (approximate(middle[0]) * 1e-6)
+        exact = np.array([[float(v.mid()) for v in row] for row in jets[kind].slopes[0].tolist()])
+        np.testing.assert_allclose(slope, exact, rtol=1e-3, atol=1e-4 * np.abs(exact).max())
+
+
+def _gains(design: Design):
+    from pbcgen.models.laws import gains
+
+    return gains(design.law.resolve(design.system.m))
+
+
+def test_gains_in_a_range_keep_the_claims_and_bound_the_iterations() -> None:
+    design = RLC.with_(gain_ranges={"alpha": ("0.03", "0.0485")})
+    report = pipeline.check(design)
+    assert adjustable(design).status is Status.PROVED
+    assert report.control is not None
+    (solve,) = report.control.solves
+    assert solve.iterations <= 4
+    assert report.control.intervals[0] == pytest.approx((3.003, 3.1))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"target_box": {"x9": (0, 1)}}, "no condition of the target"),
+        ({"target_box": {"x3": (0, 1)}}, "must hold the value that the target has, 3.0515"),
+        ({"target_box": {"x3": (4, 3)}}, "the lowest value must be below"),
+        ({"target_box": {"x3": 3}}, "a pair"),
+        ({"gain_ranges": {"K_c": (1, 20)}}, "cannot change at run time; alpha, beta can"),
+        ({"gain_ranges": {"alfa": (1, 20)}}, "did you mean `alpha`"),
+        ({"gain_ranges": {"alpha": (0, "0.05")}}, "gains are positive"),
+        ({"gain_ranges": {"alpha": [("0.01", "0.05"), (1, 2)]}}, "has 2 ranges: one, or 1"),
+    ],
+)
+def test_bad_ranges_are_named(options, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        RLC.with_(**options)
+
+
+def test_the_c_moves_the_plant_to_another_target() -> None:
+    design = RLC.with_(target_box=BOX)
+    report = pipeline.check(design)
+    assert report.loop is not None
+
+    class Moved(Controller):
+        def reset(self) -> None:
+            super().reset()
+            if "target" in dict(self.interface.settings):
+                assert self.set_target(x3=2.95) == "RLC_OK"
+
+    with Moved.of_package(pipeline.package(report)) as controller:
+        run = simulate_sampled(report.loop, controller, design.sample_period, 0.3)
+        assert run.x[-1, 2] == pytest.approx(2.95, abs=1e-4)
+        before = controller.state
+        for refused in (2.89, 3.06, float("nan"), float("inf")):
+            assert controller.set_target(x3=refused) == "RLC_INVALID_SETTING"
+        assert controller.state == before
+        with pytest.raises(ModelError, match="gains of this package cannot be changed"):
+            controller.set_gains(alpha=0.03)
+        controller.step(x3=float("nan"))
+        assert controller.step(x3=float("nan"))["u"] == pytest.approx(2.95, abs=1e-6)  # -kappa of this target
+
+
+def test_validation_tries_targets_and_gains() -> None:
+    design = RLC.with_(target_box=BOX, gain_ranges={"alpha": ("0.04", "0.0485")})
+    validation = pipeline.validate(design, steps=200)
+    assert validation.passed
+    assert validation.settings is not None
+    assert validation.settings.refused >= 10
+    assert validation.as_json()["settings"]["mismatches"] == 0
+
+
+def test_a_start_without_a_jump_gives_the_equilibrium_input() -> None:
+    from pbcgen.emit import Extras
+
+    report = pipeline.check(load("coupling_device"))
+    package = pipeline.package(report, extras=Extras(start=True, selftest=True))
+    with Controller.of_package(package) as controller:
+        far = {"x1": 1e-4, "x2": 0.03, "x3": -0.01}
+        assert controller.step(**far)["u"] != 0
+        controller.reset()
+        assert controller.start_at(**far) == "COUPLING_DEVICE_OK"
+        assert controller.step(**far)["u"] == pytest.approx(0, abs=0.05)
+        before = controller.state
+        assert controller.start_at(x1=float("nan"), x2=0.0, x3=0.0) == "COUPLING_DEVICE_INVALID_INPUT"
+        assert controller.state == before
+        assert controller.selftest() == 0
