@@ -28,7 +28,7 @@ from pbcgen.errors import ModelError, NotProved
 from pbcgen.models.design import Design
 from pbcgen.models.identity import model_hash
 from pbcgen.models.source import located
-from pbcgen.proof.claim import EMISSION_CLAIMS, Claim, Status
+from pbcgen.proof.claim import ELSEWHERE, EMISSION_CLAIMS, Claim, Status
 
 if TYPE_CHECKING:
     from pbcgen.control.attraction import Region
@@ -209,10 +209,19 @@ def certificate(report: Report) -> str:
     return json.dumps(write_certificate(report.derivation), indent=1, sort_keys=True, ensure_ascii=True) + "\n"
 
 
+def _hints(report: Report, blocking: Sequence[Claim]) -> list[str]:
+    """The hints of the claims that block, and of those that these hints send to, in the order of the claims."""
+    sent = " ".join(c.hint for c in blocking)
+    shown = [c for c in report.claims if c in blocking or (c.status is not Status.PROVED and c.claim in sent)]
+    hints = dict.fromkeys(c.hint for c in shown if c.hint)
+    own = [hint for hint in hints if not hint.startswith(ELSEWHERE)]
+    return own or list(hints)
+
+
 def _refusal(report: Report, blocking: Sequence[Claim]) -> str:
     lines = [f"no code for `{report.design.name}`: these claims are not PROVED"]
     lines += [f"  {c.claim} is {c.status}: {c.evidence}" for c in blocking]
-    lines += [f"  hint: {hint}" for hint in dict.fromkeys(c.hint for c in blocking if c.hint)]
+    lines += [f"  hint: {hint}" for hint in _hints(report, blocking)]
     if not blocking or any(c.claim in ("equilibrium", "measurability") for c in blocking):
         lines.append("  without them there is no law to emit, so --allow does not help")
     else:

@@ -8,6 +8,7 @@ import math
 import os
 import re
 import sys
+import textwrap
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from fractions import Fraction
@@ -61,10 +62,21 @@ def print_error(message: str, place: Place | None = None) -> None:
     """Print the message of an error to standard error, and below it the line of the user's file that it is about."""
     target = console(stderr=True)
     target.print("Error:", style="bold red", end=" ")
-    target.print(message, soft_wrap=True)
+    target.print(_folded(message, target.width) if target.is_terminal else message, soft_wrap=True)
     if place is not None and place.text:
         target.print(f"{place.line:>6} | ", style="dim", end="")
         target.print(place.text, style="cyan", soft_wrap=True)
+
+
+def _folded(message: str, width: int) -> str:
+    """The lines of a message no wider than the terminal, what follows in a line further in than its start."""
+    wrap = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
+    folded = []
+    for k, line in enumerate(message.splitlines()):
+        indent = line[: len(line) - len(line.lstrip())] if k else " " * len("Error: ")
+        wrap.initial_indent, wrap.subsequent_indent = indent, indent + "  " if k else "  "
+        folded.append(wrap.fill(line.strip()) if k else wrap.fill(line.strip()).lstrip())
+    return "\n".join(folded)
 
 
 def console(*, stderr: bool = False) -> Console:

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from pbcgen.models.exact import decimal
 from pbcgen.models.source import deciding_line
-from pbcgen.proof.claim import NOT_REACHED, Claim, Status
+from pbcgen.proof.claim import ELSEWHERE, NOT_REACHED, Claim, Status
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,9 +28,6 @@ _CLAIM_WIDTH = 30
 
 #: The user's line below a hint is no longer than this.
 _LINE_WIDTH = 66
-
-#: Hints that send the reader to another claim.
-_ELSEWHERE = ("mend", "satisfy")
 
 #: What it means that a claim is UNDECIDED, or REFUTED.
 _WITHOUT = {
@@ -90,7 +87,7 @@ def verdict_table(report: Report) -> Table:
         first = claims[0]
         hints = dict.fromkeys(c.hint for c in claims if c.status is not Status.PROVED and c.hint not in given)
         given.update(hints)
-        own = any(not hint.startswith(_ELSEWHERE) for hint in hints)
+        own = any(not hint.startswith(ELSEWHERE) for hint in hints)
         place = deciding_line(first.claim, report.design.call, report.design.system.call) if own else None
         table.add_row(Text(str(first.status), _STYLES[first.status]), _description(claims, hints, place))
     return table

@@ -47,6 +47,9 @@ EMISSION_CLAIMS = (
     "adjustable",
 )
 
+#: Hints that begin so send the reader to other claims.
+ELSEWHERE = ("mend", "satisfy")
+
 #: The method of a claim that an earlier one kept from being looked at.
 NOT_REACHED = "not reached"
 

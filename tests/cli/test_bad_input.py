@@ -3,6 +3,7 @@
 import pytest
 
 from pbcgen import cli, examples
+from pbcgen.cli import terminal
 from pbcgen.emit.templating import fill
 
 STORAGE = """
@@ -134,6 +135,50 @@ def test_gains_that_break_the_limits_are_refused_unless_allowed(generate, capsys
     assert cli.execute(["generate", "plant.py", "-o", "out", "--allow", "saturation"]) == 0
     assert "NOT PROVED, allowed by you: saturation" in capsys.readouterr().out
     assert "NOT PROVED (saturation)" in (tmp_path / "out" / "plant.h").read_text(encoding="utf-8")
+
+
+def test_a_refusal_gives_the_hint_that_others_send_to(generate):
+    printed = generate(model("beta=5", 'beta="0.5"'))[1]
+    assert "hint: alpha*beta must exceed 0.204120" in printed
+    assert "hint: satisfy" not in printed
+
+
+def test_a_storage_that_grows_through_negative_friction_says_so(generate, capsys):
+    generate(model('d="0.02"', 'd="-0.02"'))
+    cli.execute(["check", "plant.py"])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "hint: the friction of `angle` is -0.02 there: friction must not be negative" in printed
+    assert "D=[p.d]" in printed
+
+
+def test_drag_without_a_derivative_gets_a_smooth_form(generate, capsys):
+    generate(model("D=[p.d]", "D=[ca.fabs(momentum)]"))
+    cli.execute(["check", "plant.py"])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "write sqrt(v**2 + 1e-6) for fabs(v)" in printed
+    assert printed.count("not reached") == 1
+
+
+def test_natural_damping_without_a_coordinate_that_is_left_to_nature(generate, capsys):
+    text = model("DynamicExtension(alpha=", "NaturalDamping(alpha_l=1, beta_l=1, K_l=1, R_l=1, alpha_c=")
+    generate(text.replace("beta=5", "beta_c=5").replace("import Design,", "import Design, NaturalDamping,"))
+    cli.execute(["check", "plant.py"])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "every coordinate has an actuator" in printed
+    assert "hint: use DynamicExtension" in printed
+
+
+def test_a_target_with_too_many_entries_says_how_many_to_leave_open(generate):
+    printed = generate(model('target={"angle": 2}', "target=[2, 1]"))[1]
+    assert "the target gives `angle`, `momentum`, and there is 1 input: leave 1 open" in printed
+
+
+def test_long_messages_are_folded_on_a_terminal():
+    folded = terminal._folded("plant.py:1: " + "word " * 30 + "\n  hint: " + "sampled-stable " * 10, 60)
+    assert max(map(len, folded.splitlines())) <= 60
+    assert folded.startswith("plant.py:1: word")
+    assert "\n  hint: sampled-stable" in folded
+    assert "sampled-\n" not in folded
 
 
 def test_a_directory_with_other_files_is_left_alone(generate, tmp_path):
