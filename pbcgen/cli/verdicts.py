@@ -39,6 +39,10 @@ _WITHOUT = {
         "it is open whether the sampled loop settles",
         "the loop does not settle at this sample period",
     ),
+    "adjustable": (
+        "it is open whether the loop settles for every setting",
+        "the loop does not settle for every setting",
+    ),
 }
 
 #: A line of x* is no longer than this, so that it stands beside its name on 80 columns.

@@ -41,6 +41,7 @@ _DECIDED_BY = {
     "measurability": ("measured",),
     "saturation": ("alpha", "alpha_c", "law"),
     "sampled-stable": ("sample_period",),
+    "adjustable": ("target_box", "gain_ranges"),
 }
 
 

@@ -56,6 +56,7 @@ MEANINGS: Mapping[str, str] = {
     "asymptotically-stable": "trajectories that start near x* converge to it",
     "globally-asymptotically-stable": "every trajectory converges to x*",
     "sampled-stable": "the loop with the C at this sample period converges from nearby",
+    "adjustable": "all of this holds for every target and gain that may be set at run time",
     "region-of-attraction": "every trajectory that starts in this set converges to x*",
 }
 

@@ -7,7 +7,7 @@ import fake_report
 import pytest
 
 from pbcgen import cli, pipeline
-from pbcgen.proof.claim import CLAIMS, Status
+from pbcgen.proof.claim import CLAIMS, EMISSION_CLAIMS, Status
 
 PROVED, REFUTED, UNDECIDED = Status.PROVED, Status.REFUTED, Status.UNDECIDED
 
@@ -148,3 +148,11 @@ def test_what_libraries_print_does_not_reach_the_document(monkeypatch, capsys):
     captured = capsys.readouterr()
     json.loads(captured.out)
     assert "a warning" in captured.err
+
+
+def test_every_claim_that_code_needs_has_words_for_its_absence():
+    from pbcgen.cli import verdicts
+    from pbcgen.report.page import MEANINGS
+
+    assert set(EMISSION_CLAIMS) <= set(verdicts._WITHOUT)
+    assert set(CLAIMS) <= set(MEANINGS)
