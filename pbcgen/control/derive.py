@@ -327,6 +327,8 @@ class _AtTarget:
             box = stages.run("settings", lambda: box_claim(situation, graph, self.design, moving))
             stages.add(box.claim)
             intervals = box.intervals(self.design, intervals)
+            if intervals is not None:
+                numbers["input_intervals"] = [[float(lo), float(hi)] for lo, hi in intervals]
         if intervals is not None and all(lo < hi for lo, hi in intervals):
             self.interface = _interface(self.plant, self.design, self.point, intervals)
         numbers["spectral_abscissa"] = verdicts.spectral_abscissa

@@ -222,3 +222,9 @@ def test_a_start_without_a_jump_gives_the_equilibrium_input() -> None:
         assert controller.start_at(x1=float("nan"), x2=0.0, x3=0.0) == "COUPLING_DEVICE_INVALID_INPUT"
         assert controller.state == before
         assert controller.selftest() == 0
+
+
+def test_the_range_that_is_reported_is_that_of_all_settings():
+    law = DynamicExtension(alpha=2, beta=6, K_c=12, R_c=1)
+    design = load("elastic_pendulum").with_(law=law, gain_ranges={"alpha": (2, "2.5")})
+    assert pipeline.check(design).derived["input_intervals"] == [[-2.5, 2.5]]
