@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from pbcgen.verify.claims import Finding
 
-_WORDS = {"checked": "checked", "fails": "DOES NOT HOLD", "recorded": "recorded", "open": "undecided"}
+_WORDS = {"checked": "checked", "fails": "DOES NOT HOLD", "recorded": "NOT CHECKED", "open": "undecided"}
 _STYLES = {"checked": "green", "fails": "bold red", "recorded": "yellow", "open": "dim"}
 
 
@@ -66,6 +66,8 @@ def _document(document: Mapping[str, Any], findings: Sequence[Finding], accepted
         "design": document["design"],
         "model_hash": document["model_hash"],
         "accepted": accepted,
+        "checked": sum(f.outcome == "checked" for f in findings),
+        "recorded": sum(f.outcome == "recorded" for f in findings),
         "findings": [
             {"claim": f.claim, "status": f.status, "outcome": f.outcome, "reason": f.reason} for f in findings
         ],
@@ -85,9 +87,12 @@ def _show(console: Console, document: Mapping[str, Any], findings: Sequence[Find
     console.print()
     counts = Counter(finding.outcome for finding in findings)
     console.print(f"{counts['checked']} checked, {counts['fails']} do not hold, {counts['open']} undecided.")
-    if counts["recorded"]:
-        console.print(f"{counts['recorded']} recorded: the checker has no means for them, and says nothing.")
+    left = counts["recorded"]
+    if left:
+        console.print(f"{left} recorded and NOT checked: the checker has no means for them.", style="bold yellow")
     verdict, style = ("Accepted.", "bold green") if accepted else ("Not accepted.", "bold red")
+    if accepted and left:
+        verdict = f"Accepted, but for {left} that nothing here checked (--strict does not accept them)."
     console.print(verdict, style=style)
 
 

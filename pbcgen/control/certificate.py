@@ -7,7 +7,7 @@ enclosure, a direction. The checker makes the statements themselves out of the m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -17,21 +17,19 @@ from flint import fmpq
 
 import pbcgen
 from pbcgen.control.derive import Derivation
+from pbcgen.control.dissipation_witness import natural_damping, passivity, storage
 from pbcgen.control.measure import Measurement, Reading, Unreadable
+from pbcgen.control.stability_witness import stability_witnesses
 from pbcgen.control.writing import Writing
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.identity import canonical_text, model_hash
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.models.laws import gains as gains_of
 from pbcgen.passivity.assignable import greedy_rows
-from pbcgen.passivity.dissipation import constant_part
-from pbcgen.passivity.plant import Plant, Point, columns, dot
+from pbcgen.passivity.plant import Point
 from pbcgen.passivity.shaping import diagonal, exact_matrix, extended_hessian, shape_at
-from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import RealMatrix, positive_definite
-from pbcgen.proof.squares import Square, decompose, decompose_matrix
-from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import BITS, Real, approximate, fraction, lower, midpoint, precision, rational, upper
 from pbcgen.symbolic.tape import Tape
 from pbcgen.verify.files import FORMAT, digest
@@ -39,8 +37,6 @@ from pbcgen.verify.files import FORMAT, digest
 #: Half-width of the box of Krawczyk's test, and the digits of its centre.
 _RADIUS = "1e-70"
 _DIGITS = 80
-
-_Rows = list[list[Quotient]]
 
 
 def certificate(derivation: Derivation) -> dict[str, Any]:
@@ -56,7 +52,7 @@ def certificate(derivation: Derivation) -> dict[str, Any]:
         }
         for claim in derivation.claims
     ]
-    document = {
+    document: dict[str, Any] = {
         "format": FORMAT,
         "generator": f"pbcgen {pbcgen.__version__}",
         "design": derivation.design.name,
@@ -67,6 +63,10 @@ def certificate(derivation: Derivation) -> dict[str, Any]:
         "terms": terms.lines(),
         "claims": claims,
     }
+    found = stability_witnesses(derivation, document, terms)
+    for entry in claims:
+        entry["witness"] = found.get(str(entry["claim"]), entry["witness"])
+    document["terms"] = terms.lines()
     return {**document, "digest": digest(document)}
 
 
@@ -195,139 +195,6 @@ def _decimal(value: Fraction) -> str:
     return f"{round(value / Fraction(10) ** exponent)}e{exponent}"
 
 
-def _storage(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
-    return _written(_decomposed(derivation, terms, inputs=False), terms)
-
-
-def _passivity(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
-    return _written(_decomposed(derivation, terms, inputs=True), terms)
-
-
-def _decomposed(derivation: Derivation, terms: Writing, inputs: bool) -> list[Square] | None:
-    """Z of Hill and Moylan, or its first entry, as a sum of squares: by the power structure, else directly."""
-    plant, structure = derivation.plant, derivation.structure
-    gamma = derivation.gamma if inputs and derivation.gamma is not None else ca.SX(0, 1)
-    if structure is not None:
-        lift = _Lift.of(plant, structure, gamma)
-        squares = decompose_matrix(lift.dissipation)
-        if squares is not None and lift.matched:
-            return lift.apply(squares)
-    return decompose_matrix(_power_form(plant, gamma))
-
-
-def _power_form(plant: Plant, gamma: ca.SX) -> _Rows:
-    """``u^T y - S'`` as a quadratic form in (1, u), with y = gamma'."""
-    system = plant.system
-    m = gamma.numel()
-    psi = ca.jacobian(gamma, system.x) if m else ca.SX(0, system.n)
-    border = (ca.mtimes(psi, system.f) - ca.mtimes(system.g.T, plant.gradient)[:m]) / 2
-    block = ca.mtimes(psi, system.g)[:, :m]
-    corner = -ca.dot(plant.gradient, system.f)
-    field, (Z,) = plant.exact(ca.blockcat([[corner, border.T], [border, (block + block.T) / 2]]))
-    return Z.dense(field.const(0))
-
-
-class _Lift:
-    """From quadratic forms in v to quadratic forms in (1, u): v = grad S - grad gamma u, or v = x'."""
-
-    def __init__(
-        self, dissipation: _Rows, first: list[Quotient], others: _Rows, friction: Quotient, matched: bool
-    ) -> None:
-        self.dissipation, self.first, self.others = dissipation, first, others
-        self.friction, self.matched = friction, matched
-        self.zero = friction.field.const(0)
-
-    @staticmethod
-    def of(plant: Plant, structure: PowerStructure, gamma: ca.SX) -> _Lift:
-        """The relation of a power structure; ``matched`` says whether it holds for gamma."""
-        system = plant.system
-        psi = ca.jacobian(gamma, system.x).T if gamma.numel() else ca.SX(system.n, 0)
-        field, (B, e, f, g, p, M, rest) = plant.exact(
-            structure.dissipation(), plant.gradient, system.f, system.g, psi, structure.matrix, structure.remainder
-        )
-        zero = field.const(0)
-        gradient, drift, rho, matrix = e.column(zero), f.column(zero), rest.column(zero), M.dense(zero)
-        slopes, inputs = columns(p, zero), columns(g, zero)
-        by_gradient = structure.form == "F"
-        matched = True
-        for slope, column in zip(slopes, inputs, strict=False):
-            inside, out = (slope, column) if by_gradient else (column, slope)
-            matched &= dot(rho, slope, zero).is_zero()
-            matched &= all((dot(row, inside, zero) + out[k]).is_zero() for k, row in enumerate(matrix))
-        others = [[-v for v in slope] for slope in slopes] if by_gradient else inputs[: len(slopes)]
-        return _Lift(B.dense(zero), gradient if by_gradient else drift, others, dot(rho, gradient, zero), matched)
-
-    def apply(self, squares: Sequence[Square]) -> list[Square] | None:
-        """The squares as forms in (1, u), with the power of the friction; None if that is not a sum of squares."""
-        friction = decompose(self.friction)
-        if friction is None:
-            return None
-        lifted = [
-            Square(
-                s.weight, s.factors, tuple(dot(s.vector, column, self.zero) for column in (self.first, *self.others))
-            )
-            for s in squares
-        ]
-        unit = [self.zero.field.const(1), *[self.zero] * len(self.others)]
-        return lifted + [square.times(unit) for square in friction]
-
-
-def _natural_damping(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
-    """The dissipation minus what eta' and y account for: a constant matrix, and nonnegative functions."""
-    plant, structure, bounds = derivation.plant, derivation.structure, derivation.bounds
-    gamma, eta = derivation.gamma, derivation.eta
-    if structure is None or bounds is None or gamma is None or eta is None:
-        return None
-    if bounds.Lambda_l is None or bounds.Lambda_c is None:
-        return None
-    lift = _Lift.of(plant, structure, gamma)
-    field, zero = lift.zero.field, lift.zero
-    split = constant_part(lift.dissipation)
-    if split is None or not lift.matched:
-        return None
-    slopes = ca.jacobian(ca.vertcat(eta, gamma), plant.system.x)
-    _, (rows,) = plant.exact(ca.mtimes(slopes, structure.matrix) if structure.form == "F" else slopes)
-    size = range(plant.system.n)
-    constant = [list(row) for row in split[0]]
-    for weight, row in zip((*bounds.Lambda_l, *bounds.Lambda_c), rows.dense(zero), strict=True):
-        c = [entry.constant() for entry in row]
-        constant = [[constant[i][j] - weight * c[i] * c[j] for j in size] for i in size]
-
-    def number(value: Real) -> Quotient:
-        return field.const(midpoint(value))
-
-    squares = decompose_matrix([[number(v) for v in row] for row in constant])
-    excess = decompose_matrix([[lift.dissipation[i][j] - number(split[0][i][j]) for j in size] for i in size])
-    if squares is None or excess is None:
-        return None
-    lambdas = {"Lambda_l": [str(v) for v in bounds.Lambda_l], "Lambda_c": [str(v) for v in bounds.Lambda_c]}
-    written = _written(lift.apply([*squares, *excess]), terms)
-    return None if written is None else lambdas | written
-
-
-def _written(squares: Sequence[Square] | None, terms: Writing) -> dict[str, Any] | None:
-    if squares is None:
-        return None
-    return {
-        "squares": [
-            [
-                str(square.weight),
-                [
-                    [
-                        factor.kind,
-                        terms.quotient(factor.a),
-                        None if factor.b is None or factor.b.is_zero() else terms.quotient(factor.b),
-                        factor.b is None,
-                    ]
-                    for factor in square.factors
-                ],
-                [None if entry.is_zero() else terms.quotient(entry) for entry in square.vector],
-            ]
-            for square in squares
-        ]
-    }
-
-
 def _gradient(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
     structure = derivation.structure
     return None if structure is None or not _needs_structure(derivation) else {"form": structure.form}
@@ -371,6 +238,26 @@ def _gain(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any
     return None if found is None else {"gain": name} | found
 
 
+def _unassignable(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    """Rows of ``[f, g]`` that are independent at a target given in full."""
+    system, target = derivation.plant.system, derivation.design.target
+    values = {c.name: c.value for c in target.conditions}
+    if not {*values} >= {*system.state_names}:
+        return None
+    x = [float(values[name]) for name in system.state_names]
+    field = derivation.plant.numeric(ca.densify(ca.horzcat(system.f, system.g)))(x, [0.0] * system.m)
+    return {"rows": greedy_rows(np.array(field))}
+
+
+def _supplied(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    point = (claim.counterexample or {})["x"]
+    if derivation.plant.system.gamma is None:
+        return None
+    return {
+        "x": [str(point[name]) for name in (*derivation.plant.system.state_names, *derivation.plant.system.input_names)]
+    }
+
+
 def _state(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
     point = (claim.counterexample or {})["x"]
     return {"x": [str(point[name]) for name in derivation.plant.system.state_names]}
@@ -390,14 +277,16 @@ _Maker = Callable[[Derivation, Claim, Writing], dict[str, Any] | None]
 
 _PROVED: Mapping[str, _Maker] = {
     "equilibrium": _equilibrium,
-    "assumption-1": _storage,
-    "passive-output": _passivity,
-    "assumption-3": _natural_damping,
+    "assumption-1": lambda d, claim, terms: storage(d, claim.domain, terms),
+    "passive-output": lambda d, claim, terms: passivity(d, claim.domain, terms),
+    "assumption-3": lambda d, _, terms: natural_damping(d, terms),
     "gradient-condition": _gradient,
 }
 _REFUTED: Mapping[str, _Maker] = {
+    "equilibrium": _unassignable,
     "input-rank": _direction(_input_gram),
     "assumption-1": _state,
+    "passive-output": _supplied,
     "hessian-condition": _direction(lambda d: _hessian(d, False)),
     "kc-bound": _direction(lambda d: _hessian(d, True)),
     "gain-definiteness": _gain,

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from typing import Any
 
 from flint import fmpq_mpoly
 
+from pbcgen.proof.squares import Square
 from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.plain.values import Function
 from pbcgen.symbolic.real import fraction
 from pbcgen.symbolic.tape import Constant, Input, Matrix, Tape
 
@@ -95,3 +98,35 @@ class Writing:
             return self.put(f"state {k}")
         atom = field.atoms[k]
         return self.put(f"{atom.kind} {self.quotient(atom.argument)}")
+
+    def squares(self, squares: Sequence[Square]) -> list[list[Any]]:
+        """Squares by weight, factors and the places of the vector."""
+        return [
+            [
+                str(square.weight),
+                [factor.written(self.quotient) for factor in square.factors],
+                [None if entry.is_zero() else self.quotient(entry) for entry in square.vector],
+            ]
+            for square in squares
+        ]
+
+    def function(self, value: Function) -> int:
+        """The place of an exact function of the checker's own reading, in state and input."""
+        top = self._plain(value, value.top)
+        return top if value.bottom == 1 else self.put(f"div {top} {self._plain(value, value.bottom)}")
+
+    def _plain(self, value: Function, polynomial: fmpq_mpoly) -> int:
+        field, total = value.field, None
+        atoms = list(field.atoms.items())
+        for exponents, coefficient in sorted(polynomial.to_dict().items()):
+            term = None if coefficient == 1 and any(exponents) else self.put(f"constant {fraction(coefficient)}")
+            for k, exponent in enumerate(exponents):
+                for _ in range(int(exponent)):
+                    if k >= field.pool:
+                        generator = self.put(f"state {k - field.pool}")
+                    else:
+                        (kind, _, _), argument = atoms[field.pool - 1 - k]
+                        generator = self.put(f"{kind} {self.function(argument)}")
+                    term = generator if term is None else self.put(f"mul {term} {generator}")
+            total = term if total is None else self.put(f"add {total} {term}")
+        return self.put("constant 0") if total is None else total

@@ -7,9 +7,10 @@ proofs in :mod:`pbcgen.proof.nonnegative`, and may fail where they succeed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 from flint import fmpq, fmpq_mpoly
 
@@ -20,7 +21,9 @@ from pbcgen.proof.nonnegative import (
     trigonometric_forms,
     without_sector_pairs,
 )
+from pbcgen.proof.sos import Interval, SumOfSquares
 from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.real import rational
 
 #: Functions that increase where they are defined, and the values at zero of those that are defined there.
 AT_ZERO = {"tanh": 0, "atan": 0, "asinh": 0, "erf": 0, "asin": 0, "atanh": 0, "exp": 1}
@@ -31,11 +34,27 @@ _MOST_TERMS = 300
 
 @dataclass(frozen=True)
 class Factor:
-    """A nonnegative function: ``(T(a) - T(b)) (a - b)`` with T increasing, or T(a) itself for b = None."""
+    """A nonnegative function.
+
+    ``(T(a) - T(b)) (a - b)`` with T increasing; for b = None: T(a) itself, ``1 - T(a)^2`` for a bounded T, how far the
+    symbol a is ``above`` or ``below`` its bound, or (kind ``box``) what the tree of boxes shows of a, which may be the
+    place of a term that is written already.
+    """
 
     kind: str
-    a: Quotient
+    a: Quotient | int
     b: Quotient | None
+    tree: tuple[str, list[int], dict[str, str]] | None = None
+
+    def written(self, place: Callable[[Quotient], int]) -> list[Any]:
+        """The factor as it stands in a certificate; ``place`` writes a function down."""
+        a = self.a if isinstance(self.a, int) else place(self.a)
+        b = None if self.b is None or self.b.is_zero() else place(self.b)
+        return [self.kind, a, b if self.tree is None else list(self.tree), self.b is None]
+
+
+#: Shows that a polynomial is nonnegative where the algebra here does not.
+Leaf = Callable[[Field, fmpq_mpoly], "list[Square] | None"]
 
 
 @dataclass(frozen=True)
@@ -51,21 +70,21 @@ class Square:
         return Square(self.weight, self.factors, tuple(self.vector[0] * s for s in scale))
 
 
-def decompose(function: Quotient) -> list[Square] | None:
+def decompose(function: Quotient, leaf: Leaf | None = None) -> list[Square] | None:
     """The function as a sum of squares (vectors of length one), or None if none was found."""
     field = function.field
     known = Known.of(field, frozenset())
     if function.is_polynomial():
-        return _polynomial(field, function.numerator, known)
+        return _polynomial(field, function.numerator, known, leaf=leaf)
     inverse = field.const(1) / field.polynomial(function.denominator)
-    above, below = (_polynomial(field, p, known) for p in (function.numerator, function.denominator))
+    above, below = (_polynomial(field, p, known, leaf=leaf) for p in (function.numerator, function.denominator))
     if above is not None and below is not None:
         return [square.times([inverse]) for square in _product(above, below)]
-    product = _polynomial(field, function.numerator * function.denominator, known)
+    product = _polynomial(field, function.numerator * function.denominator, known, leaf=leaf)
     return None if product is None else [square.times([inverse]) for square in product]
 
 
-def decompose_matrix(matrix: Sequence[Sequence[Quotient]]) -> list[Square] | None:
+def decompose_matrix(matrix: Sequence[Sequence[Quotient]], leaf: Leaf | None = None) -> list[Square] | None:
     """A symmetric matrix of functions as a sum of squares, by elimination; None if none was found."""
     work = [list(row) for row in matrix]
     order = list(range(len(matrix)))
@@ -78,7 +97,7 @@ def decompose_matrix(matrix: Sequence[Sequence[Quotient]]) -> list[Square] | Non
         if not order:
             break
         order.sort(key=lambda k: (sum(not work[k][j].is_zero() for j in order), len(work[k][k].numerator), k))
-        pivot, squares = next(((k, s) for k in order if (s := decompose(work[k][k])) is not None), (-1, []))
+        pivot, squares = next(((k, s) for k in order if (s := decompose(work[k][k], leaf)) is not None), (-1, []))
         if pivot < 0:
             return None
         zeros = work[0][0].field.const(0)
@@ -92,8 +111,10 @@ def decompose_matrix(matrix: Sequence[Sequence[Quotient]]) -> list[Square] | Non
     return found
 
 
-def _polynomial(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int = 3) -> list[Square] | None:
-    """Terms and quadratic forms, products of increasing functions, or factors with a sign each."""
+def _polynomial(
+    field: Field, polynomial: fmpq_mpoly, known: Known, depth: int = 3, leaf: Leaf | None = None
+) -> list[Square] | None:
+    """Terms and quadratic forms, products of increasing functions, factors with a sign each, or what the leaf shows."""
     if polynomial.is_zero():
         return []
     for form in trigonometric_forms(field, polynomial):
@@ -103,7 +124,8 @@ def _polynomial(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int =
     if depth == 0 or len(polynomial) > _MOST_TERMS:
         return None
     found = _by_pairs(field, polynomial, known, depth)
-    return found if found is not None else _by_factors(field, polynomial, known, depth)
+    found = found if found is not None else _by_factors(field, polynomial, known, depth, leaf)
+    return found if found is not None or leaf is None else leaf(field, polynomial)
 
 
 def _by_pairs(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> list[Square] | None:
@@ -133,7 +155,9 @@ def _increasing(field: Field) -> Iterator[tuple[Factor, fmpq_mpoly]]:
             yield Factor(a.kind, a.argument, b.argument), (generators[k] - generators[j]) * apart
 
 
-def _by_factors(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> list[Square] | None:
+def _by_factors(
+    field: Field, polynomial: fmpq_mpoly, known: Known, depth: int, leaf: Leaf | None
+) -> list[Square] | None:
     """Without its square factors; or as a product of factors that each have a known sign."""
     content, factors = polynomial.factor()
     odd = [factor for factor, power in factors if power % 2]
@@ -146,8 +170,8 @@ def _by_factors(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) 
     total = [square]
     sign = 1 if content > 0 else -1
     for factor in odd:
-        upward = _polynomial(field, factor, known, depth - 1)
-        squares = upward if upward is not None else _polynomial(field, -factor, known, depth - 1)
+        upward = _polynomial(field, factor, known, depth - 1, leaf)
+        squares = upward if upward is not None else _polynomial(field, -factor, known, depth - 1, leaf)
         if squares is None:
             break
         sign = sign if upward is not None else -sign
@@ -157,7 +181,7 @@ def _by_factors(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) 
     remaining = field.context.constant(1 if content > 0 else -1)
     for factor in odd:
         remaining *= factor
-    squares = None if remaining == polynomial else _polynomial(field, remaining, known, depth - 1)
+    squares = None if remaining == polynomial else _polynomial(field, remaining, known, depth - 1, leaf)
     return None if squares is None else _product([square], squares)
 
 
@@ -249,3 +273,49 @@ def _gram(field: Field, terms: dict[Exponents, fmpq]) -> list[tuple[fmpq, Quotie
             for j in order:
                 gram[i][j] -= ratios.get(i, fmpq(0)) * gram[pivot][j]
     return found
+
+
+def of_programme(field: Field, found: SumOfSquares, bounds: Mapping[int, Interval]) -> list[Square] | None:
+    """A sum that semidefinite programming found, with vectors of length one; None if a multiplier has no factor."""
+    known = _multipliers(field, bounds)
+    result: list[Square] = []
+    for block, gram in zip(found.blocks, found.grams, strict=True):
+        factors = known.get(str(block.multiplier))
+        if factors is None:
+            return None
+        for weight, row in _eliminated(gram):
+            total = block.basis[0] * 0
+            for entry, z in zip(row, block.basis, strict=True):
+                total += z * entry
+            result.append(Square(weight, factors, (field.polynomial(total),)))
+    return result
+
+
+def _multipliers(field: Field, bounds: Mapping[int, Interval]) -> dict[str, tuple[Factor, ...]]:
+    """Polynomials without negative values by their text, as products of factors."""
+    generators, one = field.context.gens(), field.context.constant(1)
+    result: dict[str, tuple[Factor, ...]] = {str(one): ()}
+    for k, atom in field.atoms.items():
+        if atom.kind in ("exp", "sqrt"):
+            result[str(generators[k])] = (Factor(atom.kind, atom.argument, None),)
+        if atom.kind in ("tanh", "erf"):
+            result[str(one - generators[k] ** 2)] = (Factor(atom.kind, atom.argument, None),)
+    result |= {str(divisor): (factor,) for factor, divisor in _increasing(field)}
+    for k, (lo, hi) in bounds.items():
+        above = None if lo is None else generators[k] - rational(lo)
+        below = None if hi is None else rational(hi) - generators[k]
+        sides = (Factor("above", k, None), Factor("below", k, None))
+        result |= {str(p): (f,) for p, f in zip((above, below), sides, strict=True) if p is not None}
+        if above is not None and below is not None:
+            result[str(above * below)] = sides
+    return result
+
+
+def _eliminated(gram: Sequence[Sequence[fmpq]]) -> Iterator[tuple[fmpq, list[fmpq]]]:
+    """``G = sum d v v^T`` for a positive semidefinite G."""
+    work = [list(row) for row in gram]
+    for k in range(len(work)):
+        if work[k][k] != 0:
+            pivot, v = work[k][k], [row[k] / work[k][k] for row in work]
+            yield pivot, v
+            work = [[e - pivot * v[i] * v[j] for j, e in enumerate(row)] for i, row in enumerate(work)]

@@ -25,13 +25,14 @@ def digest(document: Mapping[str, Any]) -> str:
 
 
 def verify(path: Path) -> tuple[Mapping[str, Any], list[Finding]]:
-    """Check a certificate, or the certificate of a package and the package's files.
+    """Check a certificate; with it the files of the package that it stands in, if there is a manifest.
 
     Raises Malformed for what is no certificate, or has been changed since it was written.
     """
-    package = path.is_dir()
-    document = read(path / CERTIFICATE if package else path)
-    return document, ([_package(path, document)] if package else []) + examine(document)
+    directory = path if path.is_dir() else path.parent
+    document = read(path / CERTIFICATE if path.is_dir() else path)
+    package = path.is_dir() or (path.name == CERTIFICATE and (directory / MANIFEST).exists())
+    return document, ([_package(directory, document)] if package else []) + examine(document)
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -61,10 +62,13 @@ def _package(directory: Path, document: Mapping[str, Any]) -> Finding:
             [[v[k] for k in _VERDICT] for v in part] for part in (manifest["verdicts"], document["claims"])
         )
         same = manifest["model_hash"] == document["model_hash"]
+        headers = [name for name in sums if name.endswith(".h")]
+        strange = [name for name in headers if document["model_hash"] not in (directory / name).read_text("utf-8")]
     except (OSError, ValueError, LookupError, TypeError) as error:
         return Finding("package", "", "fails", f"{MANIFEST} or a file that it lists cannot be read: {error}")
     reasons = [f"changed since they were generated: {', '.join(changed)}"] if changed else []
     reasons += [] if CERTIFICATE in sums else [f"the manifest does not list {CERTIFICATE}"]
+    reasons += [f"{name} does not name the model of the certificate" for name in strange]
     reasons += [] if same else ["the manifest names another model than the certificate"]
     reasons += [] if verdicts == stated else ["the manifest states other verdicts than the certificate"]
     return Finding("package", "", "fails" if reasons else "checked", "; ".join(reasons))

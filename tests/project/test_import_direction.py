@@ -13,6 +13,7 @@ PACKAGE = Path(pbcgen.__file__).parent
 ROOMS = (
     "errors",
     "symbolic",
+    "reading",
     "verify",
     "models",
     "proof",

@@ -1,9 +1,12 @@
 """Certificates and packages as files, and the command `pbcgen verify`."""
 
+import functools
+import hashlib
 import json
+import re
 
 import pytest
-from certificates import certificate_of, oscillator, signed
+from certificates import REFERENCE, certificate_of, oscillator, signed
 
 from pbcgen import pipeline
 from pbcgen.cli import execute
@@ -44,6 +47,54 @@ def test_any_changed_digit_of_the_file_is_noticed(directory):
         path.write_text(text[:k] + str((int(text[k]) + 1) % 10) + text[k + 1 :])
         with pytest.raises(Malformed):
             read(path)
+
+
+def _paths(value, at=()):
+    """Where numbers stand in a document: the path, and the text that holds digits."""
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            yield from _paths(entry, (*at, key))
+    elif isinstance(value, list):
+        for k, entry in enumerate(value):
+            yield from _paths(entry, (*at, k))
+    elif not isinstance(value, bool) and re.search(r"\d", str(value)):
+        yield at, value
+
+
+def _changed(value):
+    if isinstance(value, int):
+        return value + 1
+    return re.sub(r"\d", lambda m: str((int(m[0]) + 1) % 10), value, count=1)
+
+
+@pytest.mark.parametrize("name", REFERENCE)
+def test_a_changed_number_at_any_place_of_the_document_is_noticed(name, tmp_path):
+    document = certificate_of(name)
+    path, places = tmp_path / "c.json", list(_paths(document))
+    assert len(places) > 150
+    for at, value in places:
+        *parents, last = at
+        holder = functools.reduce(lambda part, key: part[key], parents, document)
+        holder[last] = _changed(value)
+        path.write_text(json.dumps(document))
+        with pytest.raises(Malformed):
+            read(path)
+        holder[last] = value
+    path.write_text(json.dumps(document))
+    read(path)
+
+
+def test_a_certificate_beside_its_package_is_tied_to_the_header(directory, capsys):
+    certificate, header = directory / "certificate.json", directory / "osc.h"
+    assert execute(["verify", str(certificate)]) == 0
+    assert "package" in capsys.readouterr().out
+    text, manifest = header.read_text(), json.loads((directory / "manifest.json").read_text())
+    stated = manifest["model_hash"]
+    header.write_text(text.replace(stated, "0" * 64))
+    manifest["files"]["osc.h"]["sha256"] = hashlib.sha256(header.read_bytes()).hexdigest()
+    (directory / "manifest.json").write_text(json.dumps(manifest))
+    assert execute(["verify", str(certificate)]) == 2
+    assert "osc.h does not name the model" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_changed_source_file_is_noticed(directory, capsys):
@@ -100,10 +151,14 @@ def test_a_claim_that_does_not_hold_ends_with_exit_code_2(tmp_path, capsys):
     assert {f["claim"]: f["outcome"] for f in found["findings"]}["assumption-1"] == "fails"
 
 
-def test_strict_does_not_accept_what_is_only_recorded(tmp_path):
+def test_strict_does_not_accept_what_is_only_recorded(tmp_path, capsys):
     document = certificate_of("oscillator")
     document["claims"][2]["witness"] = None
     path = tmp_path / "c.json"
     path.write_text(json.dumps(signed(document)))
     assert execute(["verify", str(path)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    recorded = int(re.search(r"(\d+) recorded and NOT checked", shown)[1])
+    assert recorded >= 1
+    assert f"Accepted, but for {recorded} that nothing here checked" in shown
     assert execute(["verify", str(path), "--strict"]) == 2

@@ -5,17 +5,22 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from flint import fmpq
 
 from pbcgen.symbolic.plain.values import apply
 
+#: Instructions whose operand is a number or the position of an input.
+_LEAVES = {"constant", "state", "input", "parameter", "measured"}
+
 
 class Malformed(Exception):
     """The text does not follow the format."""
 
 
+@lru_cache(1024)
 def rational(text: str) -> fmpq:
     """An exact number written as ``-3``, ``2/7``, ``1.5`` or ``2e-70``."""
     top, _, bottom = text.partition("/")
@@ -47,7 +52,7 @@ class Formulas:
                 formulas.outputs[match[1]] = (int(match[2]), int(match[3]), entries)
         return formulas
 
-    def walk(self, lift: Callable[[fmpq], Any], inputs: Mapping[str, Sequence[Any]]) -> list[Any]:
+    def walk(self, lift: Callable[[fmpq], Any], inputs: Mapping[str, Any]) -> list[Any]:
         """The value of every instruction; ``inputs`` has a sequence for each operation that reads one."""
         values: list[Any] = []
         for name, *operands in self.instructions:
@@ -58,6 +63,25 @@ class Formulas:
             else:
                 values.append(apply(name, *[values[int(o)] for o in operands]))
         return values
+
+    def part(self, place: int) -> Formulas:
+        """The instructions that one of them needs, it being the last."""
+        needed = {place}
+        for k in range(place, -1, -1):
+            if k in needed and self._names(k):
+                needed |= {int(o) for o in self.instructions[k][1:]}
+        order = {k: at for at, k in enumerate(sorted(needed))}
+        kept = [
+            [self.instructions[k][0], *[str(order[int(o)]) for o in self.instructions[k][1:]]]
+            if self._names(k)
+            else self.instructions[k]
+            for k in order
+        ]
+        return Formulas(kept, {})
+
+    def _names(self, k: int) -> bool:
+        """Whether the operands of an instruction are earlier ones."""
+        return self.instructions[k][0] not in _LEAVES
 
     def matrix(self, name: str, values: Sequence[Any]) -> list[list[Any]]:
         """An output as rows, from the values of the instructions; structural zeros are exact."""

@@ -99,9 +99,17 @@ def zero_order_hold(A: Matrix, B: Matrix, h: fmpq) -> tuple[Matrix, Matrix]:
     return [row[:n] for row in held], [row[n:] for row in held]
 
 
-def stable(a: Matrix, discrete: bool) -> bool | None:
-    """Whether all eigenvalues lie in the open left half-plane (unit disc); False when one is certainly beyond."""
+def stable(a: Matrix, discrete: bool, storage: Matrix | None = None) -> bool | None:
+    """Whether all eigenvalues lie in the open left half-plane (unit disc); False when one is certainly beyond.
+
+    Given a symmetric storage P, this is True when ``P > 0`` and P decreases, ``-(A^T P + P A) > 0`` (or
+    ``P - A^T P A > 0``), and nothing else is tried.
+    """
     matrix, size = arb_mat(a), len(a)
+    if storage is not None:
+        P = arb_mat(storage)
+        fall = P - matrix.transpose() * P * matrix if discrete else -(matrix.transpose() * P + P * matrix)
+        return (is_definite(storage) and is_definite(fall.tolist())) or None
     polynomial = matrix.charpoly()
     coefficients = [polynomial[k] for k in range(size + 1)]
     if discrete:

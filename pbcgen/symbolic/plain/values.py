@@ -14,16 +14,18 @@ from typing import Any
 
 from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx
 
-_ODD = {"tanh", "atan", "asinh", "erf", "asin", "atanh"}
+ODD = {"tanh", "atan", "asinh", "erf", "asin", "atanh"}
 #: Functions that increase, and that are nowhere negative, where they are defined.
-INCREASING, NONNEGATIVE = _ODD | {"exp", "log", "sqrt"}, {"exp", "sqrt"}
+INCREASING, NONNEGATIVE = ODD | {"exp", "log", "sqrt"}, {"exp", "sqrt"}
 #: Functions that are analytic on the whole line; the others may enter a proof only where the model has them.
 _ENTIRE = {"exp", "sin", "cos", "tanh", "atan", "asinh", "erf"}
-_BOUNDED = {"sin", "cos", "tanh", "erf"}
-_AT_ZERO = {"exp": 1, "cos": 1} | dict.fromkeys([*_ODD, "sin", "sqrt"], 0)
+BOUNDED = {"sin", "cos", "tanh", "erf"}
+AT_ZERO = {"exp": 1, "cos": 1} | dict.fromkeys([*ODD, "sin", "sqrt"], 0)
 _FUNCTIONS = INCREASING | {"sin", "cos", "acos", "acosh"}
 #: Angles and exponents beyond this multiple of their unit are not expanded.
 _MOST_MULTIPLES = 24
+#: Polynomials with more terms than this are not factored.
+_MOST_FACTORED = 60
 #: Functions with more terms than this are not written out.
 _MOST_TERMS = 5000
 
@@ -82,7 +84,7 @@ def apply(name: str, *values: Any) -> Any:
     (a,) = values
     if isinstance(a, Value):
         return a.function(name)
-    return fmpq(_AT_ZERO[name]) if a == 0 and isinstance(a, fmpq) and name in _AT_ZERO else getattr(arb, name)(arb(a))
+    return fmpq(AT_ZERO[name]) if a == 0 and isinstance(a, fmpq) and name in AT_ZERO else getattr(arb, name)(arb(a))
 
 
 def power(a: Any, b: Any) -> Any:
@@ -150,7 +152,8 @@ class Function(Value):
 
     def inverse(self) -> Function:
         """The reciprocal; the divisor is noted, for it must not be the zero function in disguise."""
-        self.field.divisors[str(self.top)] = self.top
+        if not self.top.is_constant() and str(self.top) not in self.field.all_divisors:
+            self.field.divisors[str(self.top)] = self.field.all_divisors[str(self.top)] = self.top
         return self.field.quotient(self.bottom, self.top)
 
     def function(self, name: str) -> Function:
@@ -178,6 +181,7 @@ class Field:
         self.atoms: dict[tuple[str, str, str], Function] = {}
         self.relations: list[fmpq_mpoly] = []
         self.divisors: dict[str, fmpq_mpoly] = {}
+        self.all_divisors: dict[str, fmpq_mpoly] = {}
 
     def lift(self, value: Any) -> Function:
         """A number as a function."""
@@ -217,9 +221,9 @@ class Field:
             return self._angle(a)[name == "cos"]
         if name == "exp":
             return prod((power(self.atom("exp", u), fmpq(k)) for u, k in self._multiples(a, False)), start=self.lift(1))
-        if a.top.is_zero() and name in _AT_ZERO:
-            return self.lift(_AT_ZERO[name])
-        negative = name in _ODD and a.top.leading_coefficient() < 0
+        if a.top.is_zero() and name in AT_ZERO:
+            return self.lift(AT_ZERO[name])
+        negative = name in ODD and a.top.leading_coefficient() < 0
         return -self.atom(name, -a) if negative else self.atom(name, a)
 
     def _multiples(self, a: Function, angle: bool) -> list[tuple[Function, int]]:
@@ -244,30 +248,70 @@ class Field:
                 sine, cosine = sine * c + cosine * s, cosine * c - sine * s
         return sine, cosine
 
+    def bounded(self, a: Function) -> bool:
+        """Whether only atoms with values in [-1, 1] occur."""
+        free = [k for k in range(len(self.generators)) if self._kind(k) not in BOUNDED]
+        return a.bottom.is_constant() and not any(a.top.degrees()[k] > 0 for k in free)
+
     def bound(self, a: Function) -> tuple[fmpq, fmpq]:
         """(c, r) with ``abs(a - c) <= r`` everywhere, from atoms with values in [-1, 1]."""
-        free = [k for k in range(len(self.generators)) if k >= self.pool or self._kind(k) not in _BOUNDED]
-        if not a.bottom.is_constant() or any(a.top.degrees()[k] > 0 for k in free):
+        if not self.bounded(a):
             raise NotCheckable("a function is not bounded by its terms")
         terms = a.top.to_dict()
         centre = sum((c for e, c in terms.items() if not any(e)), fmpq(0))
         return centre, sum((abs(c) for e, c in terms.items() if any(e)), fmpq(0))
 
+    def everywhere(self, a: fmpq_mpoly) -> int:
+        """1 or -1 when the polynomial certainly has this sign everywhere, else 0.
+
+        Terms that are nowhere negative count as zero or, when they have exponentials only, as positive; the others
+        must be bounded, and together smaller than the constant.
+        """
+        for side in (1, -1):
+            left, strict, certain = fmpq(0), False, True
+            for exponents, coefficient in (a * side).to_dict().items():
+                present = [(self._kind(k), e % 2) for k, e in enumerate(exponents) if e]
+                if not present:
+                    left += coefficient
+                elif coefficient < 0 or any(odd and kind not in NONNEGATIVE for kind, odd in present):
+                    left -= abs(coefficient)
+                    certain = certain and all(kind in BOUNDED for kind, _ in present)
+                else:
+                    strict = strict or all(kind == "exp" for kind, _ in present)
+            if certain and (left > 0 or (left == 0 and strict)):
+                return side
+        content, factors = a.factor() if 1 < len(a) <= _MOST_FACTORED else (0, [])
+        if not factors or factors[0][0].total_degree() == a.total_degree():
+            return 0
+        signs = [self.everywhere(factor) ** int(times) for factor, times in factors]
+        return int(prod(signs, start=1 if content > 0 else -1))
+
+    def entire(self) -> bool:
+        """Whether everything computed so far is certainly defined and smooth at every state."""
+        smooth = all(kind in _ENTIRE for kind, _, _ in self.atoms)
+        return smooth and all(self.everywhere(divisor) for divisor in self.all_divisors.values())
+
     def _kind(self, k: int) -> str:
         number = self.pool - 1 - k
-        return [*self.atoms][number][0] if number < len(self.atoms) else ""
+        return [*self.atoms][number][0] if 0 <= number < len(self.atoms) else ""
 
     def at(self, polynomial: fmpq_mpoly, point: Sequence[Any]) -> Any:
         """The value of a polynomial in symbols and atoms at numbers for the symbols."""
         values: dict[int, Any] = {self.pool + k: value for k, value in enumerate(point)}
-        for k, ((kind, _, _), a) in enumerate(self.atoms.items()):
-            values[self.pool - 1 - k] = apply(kind, _value_of(a.top, values) / _value_of(a.bottom, values))
-        return _value_of(polynomial, values)
+        atoms = [*self.atoms.items()]
 
+        def generator(k: int) -> Any:
+            if k not in values:
+                (kind, _, _), a = atoms[self.pool - 1 - k]
+                values[k] = apply(kind, total(a.top) / total(a.bottom))
+            return values[k]
 
-def _value_of(polynomial: fmpq_mpoly, values: dict[int, Any]) -> Any:
-    terms = polynomial.to_dict().items()
-    return sum((prod((power(values[k], fmpq(e)) for k, e in enumerate(es) if e), start=c) for es, c in terms), fmpq(0))
+        def total(p: fmpq_mpoly) -> Any:
+            terms = p.to_dict().items()
+            parts = (prod((power(generator(k), fmpq(e)) for k, e in enumerate(es) if e), start=c) for es, c in terms)
+            return sum(parts, fmpq(0))
+
+        return total(polynomial)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from typing import Any
 
 from flint import arb, fmpq
 
+from pbcgen.reading.model import Model
 from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import (
     Matrix,
@@ -23,7 +24,6 @@ from pbcgen.symbolic.plain.matrices import (
     zero_order_hold,
 )
 from pbcgen.symbolic.plain.values import Dual, Field, Function, partial, plain, sign, variables
-from pbcgen.verify.model import Model
 
 
 class Fails(Exception):
@@ -42,11 +42,11 @@ class System:
     def __init__(self, document: Mapping[str, Any], *settings: Any) -> None:
         self.model = Model.parse("\n".join(document["model"]))
         self.formulas = Formulas.parse(document["formulas"])
-        self.witness: Mapping[str, Mapping[str, Any]] = {c["claim"]: c["witness"] or {} for c in document["claims"]}
+        self.enclosure = next((c["witness"] for c in document["claims"] if c["claim"] == "equilibrium"), None) or {}
         self.states, self.inputs, self.law = (self.model.words[name] for name in ("states", "inputs", "law"))
         self.n, self.m, self.half = len(self.states), len(self.inputs), len(self.states) // 2
         self.compensated = "potential-compensation" in self.law
-        self.field = Field(self.n, *settings)
+        self.field = Field(self.n + self.m, *settings)  # the inputs are symbols too
 
     def walk(self, state: Sequence[Any], lift: Callable[[fmpq], Any] = fmpq) -> dict[str, Matrix]:
         """All named matrices of the model and of the formulas at a state of any kind of value."""
@@ -66,7 +66,7 @@ class System:
     @cached_property
     def exact(self) -> dict[str, Matrix]:
         """Model and formulas with first derivatives. After it, no function of a bounded domain can join the field."""
-        found = self.walk(variables(self.field.symbols), self.still)
+        found = self.walk(variables(self.field.symbols[: self.n]), self.still)
         self.field.closed = True
         return found
 
@@ -109,7 +109,7 @@ class System:
     def zero(self, functions: Sequence[Any], otherwise: str) -> None:
         """Every function is the zero function, and no divisor so far is."""
         require(all(self.field.lift(v).top.is_zero() for v in functions), otherwise)
-        size = [fmpq(11 * k + 3, 7 * k + 10) for k in range(self.n)]
+        size = [fmpq(11 * k + 3, 7 * k + 10) for k in range(self.n + self.m)]
         points = [[v * (1, a, b, a * b)[k % 4] for k, v in enumerate(size)] for a in (1, -1) for b in (1, -1)]
         points += [[-v for v in point] for point in points]
         for divisor in self.field.divisors.values():
@@ -123,7 +123,7 @@ class System:
     @cached_property
     def point(self) -> tuple[list[Any], list[Any]]:
         """x* and u*, which exist: by Krawczyk's test, or because all equations hold exactly."""
-        witness, names = self.witness["equilibrium"], [*self.states, *self.inputs]
+        witness, names = self.enclosure, [*self.states, *self.inputs]
         known, unknown = ({name: rational(v) for name, v in witness[part].items()} for part in ("known", "unknown"))
         rows, centre = witness["rows"], [*unknown.values()]
         require(sorted([*known, *unknown]) == sorted(names), "x* and u* are not complete")
@@ -191,7 +191,7 @@ class System:
         H = self.hessian(S)
         if self.compensated:
             # p^T dS/dp = 2 (S - V): the kinetic energy is a quadratic form in p, and flat in q at p = 0.
-            (q, p), e = (self.field.symbols[:half], self.field.symbols[half:]), self.slope("S")[0]
+            (q, p), e = (self.field.symbols[:half], self.field.symbols[half : self.n]), self.slope("S")[0]
             V = plain(self.potential([self.still(s) for s in q], self.still))
             self.zero([dot(p, e[half:]) - (self.column("S")[0] - V) * 2], "S is not kinetic plus potential")
             self.zero([a - b for a, b in zip(self.column("gamma"), q, strict=True)], "gamma is not q")
@@ -261,11 +261,16 @@ class System:
         (A, B), (P, Q, C, D) = self.plant, self.controller
         return blocks([[plus(A, product(B, D)), product(B, C)], [P, Q]])
 
+    @property
+    def period(self) -> fmpq:
+        """The sample period, seconds."""
+        return rational(self.model.words["sample"][1])
+
     @cached_property
     def sampled(self) -> Matrix:
         """The transition over one period: u is held, and follows from the updated xi (backward Euler)."""
         (A, B), (P, Q, C, D) = self.plant, self.controller
-        h = rational(self.model.words["sample"][1])
+        h = self.period
         Ad, Bd = zero_order_hold(A, B, h)
         xi = inverse(plus(diagonal([fmpq(1)] * len(Q)), Q, -h)) if Q else []
         x = product(xi, P, diagonal([h] * self.n)) if Q else []

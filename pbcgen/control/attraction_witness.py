@@ -1,0 +1,373 @@
+"""Witnesses of attraction for certificates: how the invariant set is reached, why the storage grows, why x* is alone.
+
+They are looked for with the checker's own reading of the model, so that what is found here is what is checked there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from flint import fmpq, fmpq_mpoly
+
+from pbcgen.control.writing import Writing
+from pbcgen.proof.squares import decompose_matrix
+from pbcgen.symbolic.field import Field as Algebra
+from pbcgen.symbolic.field import Quotient
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
+from pbcgen.symbolic.plain.elimination import Elimination, slopes
+from pbcgen.symbolic.plain.formulas import Formulas
+from pbcgen.symbolic.plain.values import ODD, Field, Function, NotCheckable
+from pbcgen.symbolic.real import fraction
+from pbcgen.verify.stability import Stability
+
+Steps = list[list[Any]]
+#: Rounds of Lie derivatives, as a multiple of the number of states, and the size of equations that are given up.
+_ROUNDS, _MOST_TERMS = 3, 300
+#: Atoms that a function may have to be taken to the prover's field.
+_ATOMS = 96
+
+
+# --- the invariant set -------------------------------------------------------------------------------------------
+
+
+def steps_to_rest(system: Stability, terms: Writing) -> tuple[Elimination, Steps] | None:
+    """The chain of steps after which nothing moves, or None."""
+    chain = system.rest()
+    steps = eliminate(chain, terms, range(len(system.field.symbols)))
+    return (chain, steps) if all(chain.reduced(v).top.is_zero() for v in system.rates) else None
+
+
+def eliminate(chain: Elimination, terms: Writing, order: Sequence[int]) -> Steps:
+    """Solve equations for variables and take Lie derivatives until nothing new appears."""
+    steps: Steps = []
+    derived: set[int] = set()
+    for _ in range(_ROUNDS * len(order)):
+        while (found := _solvable(chain, order)) is not None:
+            source, k, value, kind, scale = found
+            if not chain.solve(source, k, value, kind, scale):
+                return steps
+            steps.append([source, k, terms.function(value), *([kind, str(fraction(scale))] if kind else [])])
+        open_ = [i for i, e in enumerate(chain.equations) if i not in derived and _is_open(chain.reduced(e))]
+        if not open_:
+            return steps
+        for i in open_:
+            derived.add(i)
+            chain.derive(i)
+            steps.append([i])
+    return steps
+
+
+def _is_open(e: Function) -> bool:
+    return bool(e.top) and len(e.top) <= _MOST_TERMS
+
+
+def _solvable(chain: Elimination, order: Sequence[int]) -> tuple[int, int, Function, str, fmpq] | None:
+    for source, equation in enumerate(chain.equations):
+        reduced = chain.reduced(equation)
+        if not _is_open(reduced):
+            continue
+        factor = _essential(chain.field, reduced.top)
+        if factor is None:
+            continue
+        for k in order:
+            solution = _linear(chain.field, factor, k)
+            if solution is not None:
+                return source, k, solution, "", fmpq(1)
+            inside = _through(chain.field, factor, k)
+            if inside is not None:
+                return source, k, *inside
+    return None
+
+
+def _essential(field: Field, polynomial: fmpq_mpoly) -> fmpq_mpoly | None:
+    """The one factor that may vanish."""
+    open_ = [factor for factor, _ in polynomial.factor()[1] if not field.everywhere(factor)]
+    return open_[0] if len(open_) == 1 else None
+
+
+def _occurs(field: Field, polynomial: fmpq_mpoly, k: int) -> bool:
+    """Whether symbol k occurs inside an atom of the polynomial."""
+    inside = [j for j, degree in enumerate(polynomial.degrees()) if degree and j < field.pool]
+    arguments = list(field.atoms.values())
+    return any(
+        part.degrees()[field.pool + k] or _occurs(field, part, k)
+        for j in inside
+        for part in (arguments[field.pool - 1 - j].top, arguments[field.pool - 1 - j].bottom)
+    )
+
+
+def _linear(field: Field, polynomial: fmpq_mpoly, k: int) -> Function | None:
+    """The value of symbol k in ``A x_k + B = 0`` with A nowhere zero."""
+    at = field.pool + k
+    if polynomial.degrees()[at] != 1 or _occurs(field, polynomial, k):
+        return None
+    split: tuple[dict[Any, fmpq], dict[Any, fmpq]] = ({}, {})
+    for exponents, coefficient in polynomial.to_dict().items():
+        split[int(exponents[at])][tuple(0 if j == at else e for j, e in enumerate(exponents))] = coefficient
+    B, A = (field.ctx.from_dict(part) for part in split)
+    return field.quotient(-B, A) if field.everywhere(A) else None
+
+
+def _through(field: Field, polynomial: fmpq_mpoly, k: int) -> tuple[Function, str, fmpq] | None:
+    """``T(c (x_k - value)) = 0`` for an odd increasing T."""
+    terms = list(polynomial.to_dict())
+    used = [j for j, e in enumerate(terms[0]) if e]
+    if len(terms) != 1 or len(used) != 1 or used[0] >= field.pool:
+        return None
+    (kind, _, _), argument = list(field.atoms.items())[field.pool - 1 - used[0]]
+    slope = slopes(field, argument)[k].number() if kind in ODD else None
+    return None if not slope else (field.symbols[k] - argument / slope, kind, slope)
+
+
+# --- x* alone ----------------------------------------------------------------------------------------------------
+
+
+def uniqueness(
+    system: Stability, chain: Elimination, terms: Writing, find_power: Callable[[], list[list[int | None]]]
+) -> dict[str, Any] | None:
+    """Why the invariant set is {x*}.
+
+    What is constant fixes all states; or (rest) is monotone in the constant input; or the storage is convex, where
+    ``find_power`` gives the places of N with ``grad S = N f`` (none if there is none).
+    """
+    n, m = system.n, system.m
+    still = [chain.solved[n + j].number() if n + j in chain.solved else None for j in range(m)]
+    if still == system.resting_input:
+        chain.equations += [row[0] - v for row, v in system.changes("gamma")]
+        then = eliminate(chain, terms, range(n))
+        alone = [chain.solved[k].number() if k in chain.solved else None for k in range(n)] == system.point[0]
+        return {"then": then} if alone else None
+    if {*chain.solved} >= {*range(n)}:
+        squares = decompose_matrix(_as_quotients(system.field, system.compliance(chain)))
+        if squares is not None:
+            return {"squares": terms.squares(squares)}
+    power = find_power()
+    if not power:
+        return None
+    system.__dict__["placed"] = read(system, terms)  # with the places of N
+    convex = system.convex_part(chain, power)
+    squares = decompose_matrix(_as_quotients(system.field, convex))
+    return None if squares is None else {"power": power, "squares": terms.squares(squares)}
+
+
+def _as_quotients(field: Field, matrix: Sequence[Sequence[Function]]) -> list[list[Quotient]]:
+    """Functions of the checker's field in the field of the provers."""
+    algebra = Algebra([f"z{k}" for k in range(len(field.symbols))], _ATOMS)
+    atoms = list(field.atoms.items())
+
+    def generator(k: int) -> Quotient:
+        if k >= field.pool:
+            return algebra.symbol(k - field.pool)
+        (kind, _, _), argument = atoms[field.pool - 1 - k]
+        result: Quotient = getattr(algebra, kind)(quotient(argument))
+        return result
+
+    def polynomial(p: fmpq_mpoly) -> Quotient:
+        total = algebra.const(0)
+        for exponents, coefficient in p.to_dict().items():
+            term = algebra.const(fraction(coefficient))
+            for k, e in enumerate(exponents):
+                for _ in range(int(e)):
+                    term = term * generator(k)
+            total = total + term
+        return total
+
+    def quotient(value: Function) -> Quotient:
+        return polynomial(value.top) / polynomial(value.bottom)
+
+    return [[quotient(field.lift(v)) for v in row] for row in matrix]
+
+
+def read(system: Stability, terms: Writing) -> list[Function]:
+    """What is written so far, as the checker reads it."""
+    return Formulas.parse(terms.lines()).walk(system.field.lift, {"state": system.field.symbols})
+
+
+# --- growth ------------------------------------------------------------------------------------------------------
+
+
+def growth(
+    system: Stability, terms: Writing, currents: Sequence[Function], weight: Sequence[Sequence[fmpq]]
+) -> dict[str, Any] | None:
+    """Coordinates in which the storage is radially unbounded, or None.
+
+    Args:
+        system: the design as the checker reads it.
+        terms: takes the formulas.
+        currents: functions w with ``S = w^T weight w / 2``, for circuits; none for others.
+        weight: constant, symmetric.
+    """
+    field, n = system.field, system.n
+    gamma = system.column("gamma")
+    energy = system.column("S")[0]
+    if system.compensated:
+        energy = energy - system.potential(field.symbols[: system.half], field.lift)
+    linear = [fmpq(0)] * system.m
+    squares: list[tuple[Function, Function]] = []
+    if currents:
+        squares = [
+            (field.lift(d / 2), t) for d, t in _diagonal([[field.lift(v) for v in row] for row in weight], currents)
+        ]
+    else:
+        squares = _kinetic(system, energy)
+        more, linear = _quadratic(field, _less(energy, squares), gamma, n)
+        squares = squares + more
+    rest = _less(energy, squares)
+    for weight_, g in zip(linear, gamma, strict=True):
+        rest = rest - g * weight_
+    force = [v - u for v, u in zip(linear, system.resting_input, strict=True)]
+    outgrown = [bool(a - abs(v) > 0) for a, v in zip(system.model.vector("alpha"), force, strict=True)]
+    ordered = _ordered(field, n, squares, [g if o else None for g, o in zip(gamma, outgrown, strict=True)], terms)
+    if ordered is None:
+        return None
+    coordinates, others = ordered
+    rows = [{} if o else _combination(field, g, squares, terms) for g, o in zip(gamma, outgrown, strict=True)]
+    excess = _excess(field, rest, terms)
+    excess += [[str(s.number()), [], [terms.function(t)]] for s, t in others]
+    if any(row is None for row in rows):
+        return None
+    return {"coordinates": coordinates, "linear": [str(v) for v in linear], "rows": rows, "excess": excess}
+
+
+def _less(value: Function, squares: Sequence[tuple[Function, Function]]) -> Function:
+    for weight, t in squares:
+        value = value - weight * t * t
+    return value
+
+
+def _kinetic(system: Stability, energy: Function) -> list[tuple[Function, Function]]:
+    """``p^T M^-1(q) p / 2`` by elimination, for the momenta of a mechanical system; nothing for others."""
+    n, half, field = system.n, system.half, system.field
+    momenta = range(half, n)
+    if n % 2 or n == 0:
+        return []
+    H = [slopes(field, row)[half:n] for row in slopes(field, energy)[half:n]]
+    if any(slopes(field, v)[j].top for row in H for v in row for j in momenta) or not any(
+        v.top for row in H for v in row
+    ):
+        return []
+    if all(v.number() is not None for row in H for v in row):
+        return []  # part of the constant quadratic form
+    return [(d / 2, t) for d, t in _diagonal(H, field.symbols[half:n])]
+
+
+def _diagonal(matrix: Sequence[Sequence[Function]], z: Sequence[Function]) -> list[tuple[Function, Function]]:
+    """``z^T M z = sum d_i t_i^2``: (d_i, t_i), without those with d_i = 0."""
+    work, found = [list(row) for row in matrix], []
+    for i in range(len(work)):
+        pivot = work[i][i]
+        if pivot.top.is_zero():
+            if any(v.top for v in work[i]):
+                return []
+            continue
+        t = z[i] * 0
+        ratios = [v / pivot for v in work[i]]
+        for ratio, variable in zip(ratios[i:], z[i:], strict=True):
+            t = t + ratio * variable
+        found.append((pivot, t))
+        for a in range(i + 1, len(work)):
+            for b in range(i + 1, len(work)):
+                work[a][b] = work[a][b] - ratios[a] * pivot * ratios[b]
+        for a in range(len(work)):
+            work[a][i] = work[i][a] = z[i] * 0
+    return found
+
+
+def _quadratic(
+    field: Field, rest: Function, gamma: Sequence[Function], n: int
+) -> tuple[list[tuple[Function, Function]], list[fmpq]]:
+    """The constant quadratic form with the linear part taken in, and what of that is left for gamma."""
+    Q = [[field.lift(0)] * n for _ in range(n)]
+    linear = [fmpq(0)] * n
+    for exponents, c in rest.top.to_dict().items() if rest.bottom.is_constant() else ():
+        used = [k for k, e in enumerate(exponents) for _ in range(int(e))]
+        places = [k - field.pool for k in used]
+        if min(places, default=-1) < 0 or len(places) > 2:
+            continue
+        if len(places) == 1:
+            linear[places[0]] += c
+        else:
+            for i, j in (places, places[::-1]):
+                Q[i][j] = Q[i][j] + c / 2
+    rows = []
+    for k in range(n):  # linear = 2 Q shift + sum lambda_j grad gamma_j
+        row: Row = {("x", j): v.number() * 2 for j, v in enumerate(Q[k]) if v.top}  # type: ignore[operator]
+        for j, g in enumerate(gamma):
+            slope = slopes(field, g)[k].number()
+            if slope:
+                row["gamma", j] = slope
+        rows.append({**row, CONSTANT: -linear[k]})
+    try:
+        solution = particular_solution(reduce_rows(rows), fmpq(0))
+    except Inconsistent:
+        return [], [fmpq(0)] * len(gamma)
+    shifted = [field.symbols[k] + solution.get(("x", k), fmpq(0)) for k in range(n)]
+    return _diagonal(Q, shifted), [solution.get(("gamma", j), fmpq(0)) for j in range(len(gamma))]
+
+
+def _unknown(field: Field, function: Function, known: set[int]) -> set[int]:
+    return {k for k, d in enumerate(slopes(field, function)) if d.top} - known
+
+
+def _ordered(
+    field: Field,
+    n: int,
+    squares: Sequence[tuple[Function, Function]],
+    gamma: Sequence[Function | None],
+    terms: Writing,
+) -> tuple[list[list[Any]], list[tuple[Function, Function]]] | None:
+    """One coordinate after the other, each with one new state, and the other squares; None if a state is left over."""
+    known: set[int] = set()
+    result: list[list[Any]] = []
+    waiting: list[tuple[Function | None, Function, Any]] = [(s, t, None) for s, t in squares]
+    waiting += [(None, g, j) for j, g in enumerate(gamma) if g is not None]
+    while waiting:
+        ready = [
+            (i, _unknown(field, t, known))
+            for i, (s, t, _) in enumerate(waiting)
+            if s is None or not _unknown(field, s, known)
+        ]
+        chosen = next(((i, new) for i, new in ready if len(new) == 1), None)
+        if chosen is None:
+            break
+        weight, t, j = waiting.pop(chosen[0])
+        (k,) = chosen[1]
+        known.add(k)
+        place = j if weight is None else terms.function(t)
+        result.append([None if weight is None else terms.function(weight), place, k])
+    return (result, [(s, t) for s, t, _ in waiting if s is not None]) if known == {*range(n)} else None
+
+
+def _combination(
+    field: Field, gamma: Function, squares: Sequence[tuple[Function, Function]], terms: Writing
+) -> dict[str, str] | None:
+    """gamma as a combination of the coordinates with constant weights, up to a constant."""
+    basis = [t for s, t in squares if s.number() is not None]
+    if any(not f.bottom.is_constant() for f in (gamma, *basis)):
+        return None
+    rows: dict[Any, Row] = {}
+    for k, t in enumerate(basis):
+        for exponents, c in t.top.to_dict().items():
+            rows.setdefault(exponents, {})[k] = c
+    for exponents, c in gamma.top.to_dict().items():
+        rows.setdefault(exponents, {})[CONSTANT] = -c
+    try:
+        solution = particular_solution(reduce_rows([row for e, row in rows.items() if any(e)]), fmpq(0))
+    except Inconsistent:
+        return None
+    return {str(terms.function(basis[int(str(k))])): str(c) for k, c in solution.items() if c}
+
+
+def _excess(field: Field, rest: Function, terms: Writing) -> list[list[Any]]:
+    """Terms of the storage that are squares and not bounded."""
+    found = []
+    for exponents, c in rest.top.to_dict().items() if rest.bottom.is_constant() else ():
+        term = field.quotient(field.ctx.from_dict({exponents: c}), field.one)
+        try:
+            field.bound(term)
+        except NotCheckable:
+            if c > 0 and all(e % 2 == 0 for e in exponents):
+                half = field.quotient(field.ctx.from_dict({tuple(e // 2 for e in exponents): fmpq(1)}), field.one)
+                found.append([str(c), [], [terms.function(half)]])
+    return found

@@ -1,0 +1,235 @@
+"""Witnesses of the stability claims for certificates, found with the checker's own reading of the model."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from flint import arb, arb_mat, ctx, fmpq
+
+from pbcgen.control.attraction_witness import growth, read, steps_to_rest, uniqueness
+from pbcgen.control.derive import Derivation
+from pbcgen.control.dissipation_witness import sampled_damping
+from pbcgen.control.writing import Writing
+from pbcgen.models.laws import NaturalDamping
+from pbcgen.proof.claim import Claim, Status
+from pbcgen.proof.lyapunov import Kind, lyapunov
+from pbcgen.reading.system import Fails
+from pbcgen.symbolic.linear import Row, reduce_rows, solve
+from pbcgen.symbolic.plain.formulas import rational
+from pbcgen.symbolic.plain.matrices import Matrix, krawczyk, stable
+from pbcgen.symbolic.plain.values import Grow, NotCheckable, partial, plain, variables
+from pbcgen.symbolic.real import approximate, midpoint
+from pbcgen.verify.claims import BITS, BITS_PER_STATE
+from pbcgen.verify.stability import Stability
+
+#: Larger loops have a Lyapunov matrix in the certificate; smaller ones are decided by Routh's array.
+_LARGEST_ROUTH = 20
+#: Larger systems have no chain of implications in the certificate; it would take minutes to check.
+_LARGEST_CHAIN = 40
+_DIGITS = (5, 8, 12, 17)
+_RADIUS, _ROUNDS, _PLACES = "1e-70", 12, 80
+_MISFITS = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError, NotCheckable, Fails)
+
+Witness = dict[str, Any] | None
+
+
+def stability_witnesses(derivation: Derivation, document: Mapping[str, Any], terms: Writing) -> dict[str, Witness]:
+    """The witnesses by claim; what cannot be shown has none. ``terms`` takes their formulas."""
+    wanted = {c.claim: c for c in derivation.claims if c.status is not Status.UNDECIDED}
+    if derivation.situation is None or "asymptotically-stable" not in wanted:
+        return {}
+    bits, settings = ctx.prec, (16,)  # type: int, tuple[Any, ...]
+    try:
+        for _ in range(100):
+            found, writing = {}, copy.deepcopy(terms)
+            n = derivation.plant.system.n
+            ctx.prec = BITS + BITS_PER_STATE * (n if n <= _LARGEST_ROUTH else 0)
+            try:
+                work = _Work(derivation, Stability({**document, "terms": writing.lines()}, *settings), writing)
+                found = {name: work.witness(claim) for name, claim in wanted.items() if name in _MAKERS}
+            except Grow as larger:
+                settings = larger.args
+                continue
+            terms.__dict__.update(writing.__dict__)
+            return {name: witness for name, witness in found.items() if witness}
+    finally:
+        ctx.prec = bits
+    return {}
+
+
+class _Work:
+    """One certificate in the making."""
+
+    def __init__(self, derivation: Derivation, system: Stability, terms: Writing) -> None:
+        self.derivation, self.system, self.terms = derivation, system, terms
+
+    def witness(self, claim: Claim) -> Witness:
+        """The data for one claim, or None."""
+        try:
+            return _MAKERS[claim.claim](self, claim)
+        except _MISFITS:
+            return None
+
+    def local(self, claim: Claim) -> Witness:
+        """`stable` and `asymptotically-stable`."""
+        system = self.system
+        if claim.status is Status.REFUTED:
+            return self._conserved() or self._undamped()
+        storage = _storage(system.continuous, "hurwitz")
+        if storage is not None:
+            return {"P": storage}
+        if stable(system.continuous, False):
+            return None
+        found = steps_to_rest(system, self.terms)
+        return None if found is None else {"steps": found[1]}
+
+    def _conserved(self) -> Witness:
+        """A constant combination of the states that no input changes."""
+        columns: dict[Any, Row] = {}
+        moves = zip(self.system.functions("f"), self.system.functions("g"), strict=True)
+        for i, (f, g) in enumerate(moves):
+            for j, v in enumerate((*f, *g)):
+                if not v.bottom.is_constant():
+                    return None
+                for exponents, c in v.top.to_dict().items():
+                    columns.setdefault((j, exponents), {})[i] = c
+        solved = reduce_rows(columns.values())
+        free = [k for k in range(self.system.n) if k not in solved]
+        if not free:
+            return None
+        c = [fmpq(0)] * self.system.n
+        c[free[0]] = fmpq(1)
+        for k, row in solved.items():
+            c[int(str(k))] = -row.get(free[0], fmpq(0))
+        return {"conserved": [str(v) for v in c]}
+
+    def _undamped(self) -> Witness:
+        """States as functions of free ones, with u = u* and gamma = gamma*."""
+        situation, plant = self.derivation.situation, self.derivation.plant
+        assert situation is not None
+        constants = [situation.gamma]
+        if isinstance(situation.base, NaturalDamping) and situation.eta is not None:
+            constants.append(situation.eta)
+        found = situation.at_target(*constants)
+        if found is None or not found.free or found.pending:
+            return None
+        values = ca.vertcat(*found.solved.values()) if found.solved else ca.SX(0, 1)
+        numbers = {2: [plant.values[name] for name in plant.parameter_names]}
+        (places,) = self.terms.tape(plant.tape(ca.densify(values)), ["state", "input", "parameter"], numbers)
+        zero = self.terms.put("constant 0")
+        return {"set": {str(k): places.entries.get((i, 0), zero) for i, k in enumerate(found.solved)}}
+
+    def everywhere(self, claim: Claim) -> Witness:
+        """`globally-asymptotically-stable`."""
+        if claim.status is Status.REFUTED:
+            return self._second(claim)
+        if self.system.n > _LARGEST_CHAIN:
+            return None
+        circuit = self.derivation.plant.system.circuit
+        currents, weight = [], []  # type: list[Any], list[list[fmpq]]
+        if circuit is not None:
+            _, (w, Xi) = self.derivation.plant.exact(circuit.P_gradient, circuit.Xi)
+            zero = w.entries[next(iter(w.entries))].field.const(0)
+            weight = [[v.constant() or fmpq(0) for v in row] for row in Xi.dense(zero)]
+            scratch = Writing()
+            places = [scratch.quotient(v) for v in w.column(zero)]
+            values = read(self.system, scratch)
+            currents = [values[place] for place in places]
+        grown = growth(self.system, self.terms, currents, weight)
+        found = steps_to_rest(self.system, self.terms)
+        alone = None if found is None else uniqueness(self.system, found[0], self.terms, self._power)
+        if grown is None or found is None or alone is None:
+            return None
+        return grown | {"steps": found[1]} | alone
+
+    def _power(self) -> list[list[int | None]]:
+        """The places of N with ``grad S = N f``: A, or the inverse of F."""
+        structure, plant = self.derivation.structure, self.derivation.plant
+        if structure is None or structure.remainder.nnz():
+            return []
+        field, (M,) = plant.exact(structure.matrix)
+        zero, size = field.const(0), range(plant.system.n)
+        rows = M.dense(zero)
+        if structure.form == "F":
+            units = [[field.const(int(i == j)) for i in size] for j in size]
+            columns = [solve(rows, unit, zero) for unit in units]
+            if any(column is None for column in columns):
+                return []
+            rows = [[column[i] for column in columns if column is not None] for i in size]
+        return [[None if v.is_zero() else self.terms.quotient(v) for v in row] for row in rows]
+
+    def _second(self, claim: Claim) -> Witness:
+        """The other equilibrium, to many digits."""
+        system, plant = self.system, self.derivation.plant.system
+        if system.status["asymptotically-stable"] == "REFUTED":
+            return None
+        x = [float(str((claim.counterexample or {})["x"][name])) for name in plant.state_names]
+        found = system.walk([fmpq(int(v * 2**60), 2**60) for v in x])
+        f, g = (np.array([[approximate(v) for v in row] for row in found[name]]) for name in ("f", "g"))
+        u = -np.linalg.lstsq(g, f, rcond=None)[0].ravel()
+        if system.compensated:
+            V = system.potential(variables([fmpq(int(v * 2**60), 2**60) for v in x[: system.half]]), fmpq)
+            u = u - np.array([approximate(partial(V, k)) for k in range(system.half)])
+        z = [fmpq(int(v * 2**60), 2**60) for v in (*x, *u)]
+        for _ in range(_ROUNDS):
+            value = system.rest_equations(variables(z))
+            slope = arb_mat([[partial(v, k) for k in range(len(z))] for v in value])
+            step = slope.solve(arb_mat([[arb(plain(v))] for v in value]))
+            z = [_rounded(v - step[k, 0], _PLACES) for k, v in enumerate(z)]
+        if krawczyk(system.rest_equations, z, rational(_RADIUS)) is None:
+            return None
+        return {"centre": [_text(v, _PLACES) for v in z], "radius": _RADIUS}
+
+    def sampled(self, claim: Claim) -> Witness:
+        """`sampled-stable`."""
+        result: dict[str, Any] = {}
+        if claim.status is Status.REFUTED:
+            return None
+        storage = _storage(self.system.sampled, "schur")
+        if storage is not None:
+            result["P"] = storage
+        if claim.domain == "sampled loop, all x" or (storage is None and not stable(self.system.sampled, True)):
+            damped = "natural-damping" in self.system.law
+            result |= sampled_damping(self.derivation, damped, self.terms) or {}
+        return result
+
+
+_MAKERS = {
+    "asymptotically-stable": _Work.local,
+    "globally-asymptotically-stable": _Work.everywhere,
+    "sampled-stable": _Work.sampled,
+}
+
+
+def _storage(matrix: Matrix, kind: Kind) -> list[list[str]] | None:
+    """The lower triangle of a Lyapunov matrix with as few digits as suffice, for large loops."""
+    if len(matrix) <= _LARGEST_ROUTH:
+        return None
+    proof = lyapunov(matrix, kind)
+    if proof.status is not Status.PROVED:
+        return None
+    P = [[proof.P[i][j] / proof.scale[i] / proof.scale[j] for j in range(i + 1)] for i in range(len(matrix))]
+    for digits in _DIGITS:
+        rows = [[f"{v:.{digits}g}" for v in row] for row in P]
+        exact = [[rational(rows[max(i, j)][min(i, j)]) for j in range(len(rows))] for i in range(len(rows))]
+        if stable(matrix, kind == "schur", exact):
+            return rows
+    return None
+
+
+def _rounded(value: Any, places: int) -> fmpq:
+    return rational(_text(value, places))
+
+
+def _text(value: Any, places: int) -> str:
+    """A decimal close to a number."""
+    exact = midpoint(value)
+    if exact == 0:
+        return "0"
+    exponent = len(str(abs(exact.numerator))) - len(str(exact.denominator)) - places
+    scaled = exact / 10**exponent if exponent >= 0 else exact * 10**-exponent
+    return f"{round(scaled)}e{exponent}"

@@ -1,0 +1,6 @@
+"""A second reading of a design, from the text that its hash is the hash of; it shares nothing with the first.
+
+model    the text
+system   the model as exact functions, at x* in balls, and its closed loop
+sums     functions without negative values, as a certificate writes them
+"""

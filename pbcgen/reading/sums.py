@@ -1,0 +1,114 @@
+"""Functions without negative values, written in a certificate as sums of squares."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+from flint import fmpq
+
+from pbcgen.reading.system import System, require
+from pbcgen.symbolic.plain.boxes import shown
+from pbcgen.symbolic.plain.formulas import Formulas, rational
+from pbcgen.symbolic.plain.matrices import Matrix, plus
+from pbcgen.symbolic.plain.values import (
+    AT_ZERO,
+    BOUNDED,
+    INCREASING,
+    NONNEGATIVE,
+    Dual,
+    NotCheckable,
+    apply,
+    partial,
+    plain,
+)
+
+
+class Sums(System):
+    """A design with the formulas and witnesses of its certificate."""
+
+    def __init__(self, document: Mapping[str, Any], *settings: Any) -> None:
+        super().__init__(document, *settings)
+        self.readings, self.terms = Formulas.parse(document["readings"]), Formulas.parse(document["terms"])
+        self.witness: Mapping[str, Mapping[str, Any]] = {c["claim"]: c["witness"] or {} for c in document["claims"]}
+        self.domain, self.status = ({c["claim"]: c[key] for c in document["claims"]} for key in ("domain", "status"))
+
+    def given(self, claim: str, name: str) -> list[fmpq]:
+        """Numbers of a witness."""
+        return [rational(v) for v in self.witness[claim][name]]
+
+    @cached_property
+    def placed(self) -> list[Any]:
+        """The terms of the witnesses as exact functions of state and input."""
+        return self.terms.walk(self.field.lift, {"state": self.field.symbols}) if self.exact else []
+
+    def vector(self, places: Sequence[int | None]) -> list[Any]:
+        """Terms by their places; None is zero."""
+        return [self.field.lift(0 if place is None else self.placed[place]) for place in places]
+
+    def without_squares(self, matrix: Matrix, claim: str, name: str = "squares") -> Matrix:
+        """The matrix without ``sum weight * factors * v v^T``: positive weights, factors that are never negative."""
+        squares = self.witness[claim].get(name)
+        if squares is None:
+            raise NotCheckable("the certificate holds no decomposition into squares")
+        for weight, factors, places in squares:
+            require(rational(weight) > 0, "a weight is not positive")
+            scale = self.field.lift(rational(weight))
+            for factor in factors:
+                scale = scale * self._factor(claim, *factor)
+            vector = self.vector(places)
+            matrix = plus(matrix, [[scale * a * b for b in vector] for a in vector], -1)
+        return matrix
+
+    def nonnegative(self, matrix: Matrix, claim: str) -> None:
+        """The matrix is a sum of squares, on the domain of the claim."""
+        rest = self.without_squares(matrix, claim)
+        self.zero([v for row in rest for v in row], "the squares do not add up to what they stand for")
+
+    def _factor(self, claim: str, kind: str, a: int, b: Any, alone: bool) -> Any:
+        """A function without negative values.
+
+        ``(T(a) - T(b)) (a - b)`` with T increasing (b = None: zero). Alone: T(a), or ``1 - T(a)^2`` for a bounded T.
+        Where the claim is made on the model's domain: how far state a is above or below its bound, and what a tree b
+        of boxes shows.
+        """
+        if kind in ("above", "below", "box"):
+            require(self.on_box(claim), "the claim is not restricted to the domain")
+            if kind == "box":
+                return self._by_boxes(a, *b)
+            bound = self.model.domain[self.states[a]][kind == "below"]
+            require(bound is not None, "there is no such bound")
+            return (self.field.symbols[a] - bound) * (1 if kind == "above" else -1)
+        left = self.placed[a]
+        if alone:
+            require(kind in NONNEGATIVE | BOUNDED, "a factor has no sign")
+            return apply(kind, left) if kind in NONNEGATIVE else 1 - apply(kind, left) * apply(kind, left)
+        require(kind in INCREASING and (b is not None or kind in AT_ZERO), "a factor has no sign")
+        right = self.field.lift(0) if b is None else self.placed[b]
+        return (apply(kind, left) - apply(kind, right)) * (left - right)
+
+    def _by_boxes(self, place: int, tree: str, used: Sequence[int], zeros: Mapping[str, str]) -> Any:
+        """A term that is nonnegative on the domain of the states it uses; it and its slopes vanish at the zeros."""
+        part, at = self.terms.part(place), {int(k): rational(v) for k, v in zeros.items()}
+
+        def value(x: Sequence[Any], lift: Callable[[Any], Any] = fmpq) -> Any:
+            return part.walk(lift, {"state": dict(zip(used, x, strict=True))})[-1]
+
+        symbols = [self.still(at[k]) if k in at else self.still(self.field.symbols[j]) for k, j in enumerate(used)]
+        moved = [Dual(s.value, {k: fmpq(1)}) if k in at else s for k, s in enumerate(symbols)]
+        if at:
+            found = value(moved, self.still)
+            self.zero([plain(found), *(partial(found, k) for k in at)], "the function does not vanish at its zeros")
+        box = [(lo, hi) for lo, hi in (self.model.domain[self.states[j]] for j in used)]
+        require(shown(tree, box, value, at), "the boxes do not show that a function is nonnegative")
+        return self.placed[place]
+
+    def on_box(self, claim: str) -> bool:
+        """Whether the claim is stated on the domain of the model."""
+        both = re.findall(r"(\S+) in \[([^,]+), ([^\]]+)\]", self.domain[claim])
+        one = re.findall(r"(\S+) (>=|<=) ([^,\s]+)", self.domain[claim])
+        box = {name: [rational(lo), rational(hi)] for name, lo, hi in both}
+        box |= {name: [rational(v) if side == s else None for s in (">=", "<=")] for name, side, v in one}
+        return bool(box) and box == self.model.domain

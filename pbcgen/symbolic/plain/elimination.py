@@ -1,0 +1,73 @@
+"""Equations that hold along every trajectory of a set: their Lie derivatives hold too, and some give a variable.
+
+Nothing is searched for. A step names an equation and says what it gives; it is accepted when the equation, after what
+was found before is put in, is what is said to vanish times a function that vanishes nowhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from flint import fmpq
+
+from pbcgen.symbolic.plain.matrices import dot
+from pbcgen.symbolic.plain.values import ODD, Field, Function, apply, partial, variables
+
+_ONE = fmpq(1)
+
+
+def put_in(field: Field, a: Function, values: Sequence[Any]) -> Any:
+    """The function with values of any kind in place of the symbols."""
+    top, bottom = field.at(a.top, values), field.at(a.bottom, values)
+    return top / bottom
+
+
+def slopes(field: Field, a: Function) -> list[Function]:
+    """The partial derivatives of a function by the symbols."""
+    dual = put_in(field, a, variables(field.symbols))
+    return [field.lift(partial(dual, k)) for k in range(len(field.symbols))]
+
+
+class Elimination:
+    """What is known on the set: equations ``e = 0``, and variables as functions of the others."""
+
+    def __init__(self, field: Field, rates: Sequence[Function], equations: Sequence[Function]) -> None:
+        self.field, self.rates, self.equations = field, list(rates), list(equations)
+        self.solved: dict[int, Function] = {}
+
+    def reduced(self, a: Function) -> Function:
+        """The function with the solved variables put in."""
+        if not self.solved:
+            return a
+        values = [self.solved.get(k, symbol) for k, symbol in enumerate(self.field.symbols)]
+        return self.field.lift(put_in(self.field, a, values))
+
+    def derive(self, source: int) -> None:
+        """Add the derivative of an equation along the trajectories."""
+        self.equations.append(self.field.lift(dot(slopes(self.field, self.equations[source]), self.rates)))
+
+    def solve(self, source: int, k: int, value: Function, kind: str = "", scale: fmpq = _ONE) -> bool:
+        """Take ``x_k = value`` from an equation, and add its derivative; whether that follows.
+
+        The equation must be a power of ``x_k - value``, or of ``kind(scale (x_k - value))`` with kind odd and
+        increasing, times a function that vanishes nowhere.
+        """
+        zero = self.field.symbols[k] - value
+        fresh = k not in self.solved and not any(slopes(self.field, value)[j].top for j in (k, *self.solved))
+        if not fresh or (kind and (kind not in ODD or scale == 0)):
+            return False
+        e, gone = self.reduced(self.equations[source]), apply(kind, zero * scale) if kind else zero
+        most = max(1, int(e.top.total_degree()))
+        if not self.field.everywhere(self.field.quotient(e.top * gone.bottom**most, gone.top**most).top):
+            return False
+        self.assume(k, value)
+        self.equations.append(zero)
+        self.derive(-1)
+        del self.equations[-2]
+        return True
+
+    def assume(self, k: int, value: Function) -> None:
+        """Put a value of a variable in everywhere."""
+        values = [value if j == k else symbol for j, symbol in enumerate(self.field.symbols)]
+        self.solved = {j: self.field.lift(put_in(self.field, a, values)) for j, a in self.solved.items()} | {k: value}

@@ -1,0 +1,229 @@
+"""What each claim says of the model up to the limits of the inputs, and how a certificate shows it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from flint import arb_mat, fmpq
+
+from pbcgen.reading.sums import Sums
+from pbcgen.reading.system import require
+from pbcgen.symbolic.plain.formulas import rational
+from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, is_definite, plus, product, transpose
+from pbcgen.symbolic.plain.values import INCREASING, NotCheckable, partial, plain, sign, variables
+
+_AMPLITUDES = ("alpha", "alpha_c", "alpha_l", "alpha_psi", "k_p")
+
+_EVERYWHERE = {
+    *("assumption-1", "passive-output", "assumption-3", "theta", "gain-definiteness", "measurability"),
+    "globally-asymptotically-stable",
+}
+_ELSEWHERE = {"all x where the model is defined", "at x*", "near x*", "all inputs"}
+_ELSEWHERE |= {"sampled loop", "sampled loop, all x"}
+
+
+class Assumptions(Sums):
+    """One method for each claim and status; it raises Fails unless the certificate shows the claim."""
+
+    @property
+    def rows(self) -> list[Any]:
+        """For each square of passive-output a function that vanishes where the square does, in (x, u)."""
+        one_u, found = [self.field.lift(1), *self.field.symbols[self.n :]], []
+        for _, factors, places in self.witness["passive-output"]["squares"]:
+            row = dot(self.vector(places), one_u)
+            for kind, a, b, alone in factors:
+                if kind in INCREASING and not alone:
+                    row = row * (self.placed[a] - (0 if b is None else self.placed[b]))
+                elif kind != "exp":
+                    row = row * self._factor("passive-output", kind, a, b, alone)
+            found.append(row)
+        return found
+
+    def reaches(self, claim: str) -> bool:
+        """Whether the domain that the certificate states for a claim is one that is checked."""
+        text = self.domain[claim]
+        constant = claim == "input-rank" and not any(
+            partial(v, k) for row in self.exact["g"] for v in row for k in range(self.n)
+        )
+        return text in _ELSEWHERE or (text == "all x" and (claim in _EVERYWHERE or constant)) or self.on_box(claim)
+
+    def proved_equilibrium(self) -> None:
+        """x* and u* exist, meet the target, and lie in the domain."""
+        require(self.point, "there is no equilibrium")
+
+    def refuted_equilibrium(self) -> None:
+        """At a target given in full: it is outside the domain, or f is not in the span of g."""
+        if not {*self.model.target} >= {*self.states}:
+            raise NotCheckable("the target is not given in full")
+        x, target = [self.model.target[name] for name in self.states], self.model.target
+        if not self.inside(target):
+            return
+        found, rows = self.walk(x), self.witness["equilibrium"]["rows"]
+        minor = [[*found["f"][k], *found["g"][k]] for k in rows]
+        require(len({*rows}) == self.m + 1 and sign(arb_mat(minor).det()) in (1, -1), "f may lie in the span of g")
+
+    def proved_input_rank(self) -> None:
+        """``g^T g > 0`` at x*."""
+        require(is_definite(product(transpose(self.numbers("g")), self.numbers("g"))), "g may lose rank at x*")
+
+    def refuted_input_rank(self) -> None:
+        """``g v = 0`` at x*."""
+        v = self.given("input-rank", "v")
+        require(any(v) and all(sign(dot(row, v)) == 0 for row in self.numbers("g")), "g v is not zero")
+
+    def proved_assumption_1(self) -> None:
+        """``-grad S^T f >= 0``."""
+        self.nonnegative([[-self.rate("S")[0][0]]], "assumption-1")
+
+    def refuted_assumption_1(self) -> None:
+        """``grad S^T f > 0`` at a state of the domain."""
+        x = self.given("assumption-1", "x")
+        require(self.inside(dict(zip(self.states, x, strict=True))), "the state is not in the domain")
+        found = self.walk(variables(x))
+        power = product(self.jacobian(found["S"]), [[plain(v) for v in row] for row in found["f"]])
+        require(sign(power[0][0]) == 1, "the storage does not grow at this state")
+
+    def proved_passive_output(self) -> None:
+        """``S' <= u^T gamma'`` for all x and u."""
+        self.nonnegative(self.power, "passive-output")
+
+    def refuted_passive_output(self) -> None:
+        """``S' > u^T gamma'`` for the model's gamma, at a state and an input."""
+        if "gamma" not in self.model.formulas.outputs:
+            raise NotCheckable("that no gamma exists is not checked again")
+        z = [rational(v) for v in self.witness["passive-output"]["x"]]
+        require(self.inside(dict(zip(self.states, z[: self.n], strict=True))), "the state is not in the domain")
+        found, u = self.walk(variables(z[: self.n])), z[self.n :]
+        slopes = plus(self.jacobian(found["S"]), product([u], self.jacobian(found["gamma"])), -1)
+        rates = plus(found["f"], product(found["g"], [[v] for v in u]))
+        require(
+            sign(product(slopes, [[plain(v) for v in row] for row in rates])[0][0]) == 1, "the storage is passive here"
+        )
+
+    def proved_gradient_condition(self) -> None:
+        """``grad S + grad gamma kappa = 0`` at x*: exactly, or because ``f + g u = 0`` leaves nothing else."""
+        if all(sign(v) == 0 for v in self.shaped[0]):
+            return
+        f, e, M, rho = (
+            self.functions("f"),
+            transpose(self.slope("S")),
+            self.functions("matrix"),
+            self.functions("remainder"),
+        )
+        g, psi = self.functions("g"), transpose(self.slope("gamma"))
+        drift_first = self.witness["gradient-condition"]["form"] == "F"
+        left, right, out, into = (f, e, g, psi) if drift_first else (e, f, psi, g)
+        self.zero([row[0] for row in plus(plus(left, product(M, right), -1), rho)], "there is no such power structure")
+        self.zero([v for row in plus(out, product(M, into)) for v in row], "grad gamma does not follow from it")
+        require(all(sign(row[0]) == 0 for row in self.numbers("remainder")), "the remainder is not zero at x*")
+        require(not drift_first or self.is_regular("matrix"), "F may be singular at x*")
+
+    def refuted_gradient_condition(self) -> None:
+        """An entry of the gradient is not zero."""
+        require({1, -1} & {sign(v) for v in self.shaped[0]}, "the gradient may be zero")
+
+    def proved_hessian_condition(self) -> None:
+        """``hess S_d > 0`` at x*."""
+        require(is_definite(self.hessian_d), "hess S_d may not be positive definite")
+
+    def refuted_hessian_condition(self) -> None:
+        """``v^T hess S_d v <= 0``."""
+        self._not_definite(self.hessian_d, "hessian-condition")
+
+    def _not_definite(self, matrix: Matrix, claim: str) -> None:
+        v = self.given(claim, "v")
+        require(any(v) and sign(dot(v, [dot(row, v) for row in matrix])) in (0, -1), "the direction does not show it")
+
+    def proved_kc_bound(self) -> None:
+        """``hess S_dc > 0`` at (x*, 0)."""
+        require(is_definite(self.hessian_dc), "hess S_dc may not be positive definite")
+
+    def refuted_kc_bound(self) -> None:
+        """``v^T hess S_dc v <= 0``."""
+        self._not_definite(self.hessian_dc, "kc-bound")
+
+    def proved_gain_definiteness(self) -> None:
+        """``K_c, R_c, K_l, R_l > 0``, those that the law has."""
+        gains = [self.model.gains[name] for name in ("K_c", "R_c", "K_l", "R_l") if name in self.model.gains]
+        require(all(is_definite(gain) for gain in gains), "a gain is not positive definite")
+
+    def refuted_gain_definiteness(self) -> None:
+        """``v^T K v <= 0`` for a gain."""
+        self._not_definite(self.model.gains[self.witness["gain-definiteness"]["gain"]], "gain-definiteness")
+
+    def proved_assumption_3(self) -> None:
+        """``u^T y - S' >= |eta'|^2_{Lambda_l} + |y|^2_{Lambda_c}``, and gamma and eta are decoupled."""
+        Lambda = [v for name in ("Lambda_l", "Lambda_c") for v in self.given("assumption-3", name)]
+        eta, gamma = self.rate("eta"), self.rate("gamma")
+        require(min(Lambda) > 0 and 1 <= len(eta) <= self.n - self.m, "Lambda or eta is not as it must be")
+        slopes = product(self.slope("eta"), transpose(self.slope("gamma")))
+        self.zero([v for row in slopes for v in row], "gamma and eta are coupled")
+        rates = eta + gamma
+        self.nonnegative(plus(self.power, product(transpose(rates), diagonal(Lambda), rates), -1), "assumption-3")
+
+    @property
+    def theta(self) -> Matrix:
+        """Theta (Th), for (eta', y, x_l'), with the constants of Assumption 3."""
+        self.proved_assumption_3()
+        Ll, Lc = (self.given("assumption-3", name) for name in ("Lambda_l", "Lambda_c"))
+        R, K = ([gain[i][i] for i, _ in enumerate(gain)] for gain in (self.model.gains["R_l"], self.model.gains["K_l"]))
+        side = product(
+            diagonal([1 / (2 * r) for r in R]), blocks([[self.upsilon(len(Ll)), diagonal([fmpq(-1)] * self.m)]])
+        )
+        corner = diagonal([k / r for k, r in zip(K, R, strict=True)])
+        return blocks([[diagonal(Ll + Lc), transpose(side)], [side, corner]])
+
+    def proved_theta(self) -> None:
+        """``Theta >= 0``."""
+        require(is_definite(self.theta, semi=True), "Theta is not positive semidefinite")
+
+    def refuted_theta(self) -> None:
+        """``v^T Theta v < 0``."""
+        v = self.given("theta", "v")
+        require(sign(dot(v, [dot(row, v) for row in self.theta])) == -1, "the direction does not show it")
+
+    def proved_measurability(self) -> None:
+        """What the law reads is a function of what is measured, up to a constant."""
+        signals = {"gamma": self.column("gamma")}
+        if "natural-damping" in self.law:
+            signals["eta"] = self.column("eta")
+        if self.compensated:
+            signals["potential"] = self.force
+        if "passive-output" in self.law:
+            signals |= {
+                "drift": [row[0] for row in self.rate("gamma")],
+                "feedthrough": [v for row in self.rate("gamma") for v in row[1:]],
+            }
+        values = self.readings.walk(self.field.lift, {"measured": self.column("measurement")})
+        for name, wanted in signals.items():
+            pairs = zip(wanted, self.readings.matrix(name, values), strict=True)
+            require(all((a - b).number() is not None for a, (b,) in pairs), f"{name} is not what is read")
+        self.zero([], "")
+
+    def refuted_measurability(self) -> None:
+        """A direction that no sensor sees, but gamma or eta does."""
+        v = self.given("measurability", "v")
+        seen = self.jacobian(self.star["measurement"])
+        needed = [row for name in ("gamma", "eta") if name in self.star for row in self.jacobian(self.star[name])]
+        require(all(sign(dot(row, v)) == 0 for row in seen), "the sensors see this direction")
+        require({1, -1} & {sign(dot(row, v)) for row in needed}, "the law does not need this direction")
+
+    @property
+    def slacks(self) -> list[int | None]:
+        """Signs of what is left to each limit when every tanh is at its worst."""
+        present = [self.model.gains[name][0] for name in _AMPLITUDES if name in self.model.gains]
+        sizes, centres = [sum(column, fmpq(0)) for column in zip(*present, strict=True)], self.point[1]
+        if self.compensated:
+            ranges = [self.field.bound(force) for force in self.force]
+            centres, sizes = [c for c, _ in ranges], [a + r for a, (_, r) in zip(sizes, ranges, strict=True)]
+        return [sign(b - dot(row, centres) - dot([abs(a) for a in row], sizes)) for row, b in self.model.limits]
+
+    def proved_saturation(self) -> None:
+        """Every input stays within its limits."""
+        if self.compensated and not {0, 1} >= {*self.slacks}:
+            raise NotCheckable("grad V is not bounded closely enough by its terms")
+        require({0, 1} >= {*self.slacks}, "an input may leave its limits")
+
+    def refuted_saturation(self) -> None:
+        """A limit is exceeded when the tanh terms are close to one."""
+        require(not self.compensated and -1 in self.slacks, "no input certainly leaves its limits")

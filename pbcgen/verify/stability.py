@@ -1,0 +1,301 @@
+"""What the claims of stability say, and how a certificate shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+from flint import arb_mat, fmpq, fmpq_mat
+
+from pbcgen.reading.system import require
+from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
+from pbcgen.symbolic.plain.formulas import rational
+from pbcgen.symbolic.plain.growth import spans
+from pbcgen.symbolic.plain.matrices import (
+    Matrix,
+    blocks,
+    diagonal,
+    dot,
+    is_definite,
+    krawczyk,
+    plus,
+    product,
+    stable,
+    transpose,
+)
+from pbcgen.symbolic.plain.values import NotCheckable, apply, partial, sign, variables
+from pbcgen.verify.assumptions import Assumptions
+
+_GLOBAL = "globally-asymptotically-stable"
+
+
+class Stability(Assumptions):
+    """By linearisation, by the Lyapunov function with LaSalle's argument, and for the sampled loop."""
+
+    def lyapunov(self) -> None:
+        """The Lyapunov function of Prop. pro1, pro2 or pro4."""
+        require("integral" not in self.law, "the law has no Lyapunov function")
+        for check in (self.proved_assumption_1, self.proved_passive_output, self.proved_gradient_condition):
+            check()
+        self.proved_hessian_condition()
+        if "passive-output" not in self.law:
+            self.proved_gain_definiteness()
+            self.proved_kc_bound()
+        if "natural-damping" in self.law:
+            self.proved_theta()
+
+    def storage(self, claim: str) -> Matrix | None:
+        """The matrix P of a witness, given by its lower triangle."""
+        rows = self.witness[claim].get("P")
+        return rows and [[rational(rows[max(i, j)][min(i, j)]) for j in range(len(rows))] for i in range(len(rows))]
+
+    @cached_property
+    def is_hurwitz(self) -> bool | None:
+        """Whether the linearised closed loop is Hurwitz; None if that is not certain."""
+        return stable(self.continuous, False, self.storage("asymptotically-stable"))
+
+    def proved_stable(self) -> None:
+        """By the Lyapunov function or by linearisation."""
+        if not self.is_hurwitz:
+            self.lyapunov()
+
+    def refuted_stable(self) -> None:
+        """The linearisation has an eigenvalue with a positive real part."""
+        require(self.is_hurwitz is False, "no eigenvalue certainly has a positive real part")
+
+    def proved_asymptotically_stable(self) -> None:
+        """The linearisation is Hurwitz, or LaSalle's set consists of equilibria and x* is an isolated one."""
+        if self.is_hurwitz:
+            return None
+        if "steps" not in self.witness["asymptotically-stable"]:
+            require(self.is_hurwitz is None, "the linearisation is not Hurwitz")
+            if self.status[_GLOBAL] != "PROVED":
+                raise NotCheckable("the certificate does not hold the chain of implications")
+            return self.proved_globally_asymptotically_stable()
+        self.lyapunov()
+        self.chain("asymptotically-stable")
+        self._smooth()
+        return require(sign(arb_mat(self.continuous).det()) in (1, -1), "x* may not be isolated")
+
+    def _smooth(self) -> None:
+        point = [*self.point[0], *self.resting_input]
+        divisors = [self.field.at(divisor, point) for divisor in self.field.all_divisors.values()]
+        require({sign(v) for v in divisors} <= {1, -1}, "a divisor may be zero at x*")
+
+    def refuted_asymptotically_stable(self) -> None:
+        """An unstable eigenvalue; a conserved linear function; or trajectories near x* with a constant storage."""
+        witness = self.witness["asymptotically-stable"]
+        if "conserved" in witness:
+            c, moves = self.given("asymptotically-stable", "conserved"), [self.functions("f"), self.functions("g")]
+            require(any(c), "nothing is conserved")
+            return self.zero([v for rows in moves for v in product([c], rows)[0]], "it is not conserved")
+        return self._undamped() if "set" in witness else self.refuted_stable()
+
+    def _undamped(self) -> None:
+        self.lyapunov()
+        set_ = {int(k): self.placed[place] for k, place in self.witness["asymptotically-stable"]["set"].items()}
+        require(len(set_) < self.n and max(set_, default=0) < self.n, "the set has no other states than x*")
+        constants = [row[0] - v for name in ("gamma", "eta") if name in self.exact for row, v in self.changes(name)]
+        chain = Elimination(self.field, self.rates, [])
+        chain.solved = {self.n + j: self.field.lift(u) for j, u in enumerate(self.resting_input)} | set_
+        for k, value in set_.items():
+            require(sign(put_in(self.field, value, self.point[0]) - self.point[0][k]) == 0, "x* is not in the set")
+            constants.append(dot(slopes(self.field, self.field.symbols[k] - value), self.rates))
+        self.zero([chain.reduced(v) for v in [*constants, self._power_at(self.push)]], "the set is not as it must be")
+        self._smooth()
+
+    def changes(self, name: str) -> Any:
+        """The functions of a column, each with its value at x*."""
+        return zip(self.functions(name), [v for (v,) in self.numbers(name)], strict=True)
+
+    def _power_at(self, u: Sequence[Any]) -> Any:
+        """``u^T gamma' - S'`` for these inputs."""
+        one_u = [self.field.lift(1), *u]
+        return dot(one_u, [dot(row, one_u) for row in self.power])
+
+    # --- LaSalle's invariant set -----------------------------------------------------------------------------------
+
+    @property
+    def push(self) -> list[Any]:
+        """The input where the filters rest: a constant, beside the force that is compensated."""
+        constant = self.field.symbols[self.n :]
+        return [a + b for a, b in zip(constant, self.force, strict=True)] if self.compensated else constant
+
+    @property
+    def resting_input(self) -> list[Any]:
+        """This constant at x*."""
+        return [fmpq(0)] * self.m if self.compensated else self.point[1]
+
+    @property
+    def rates(self) -> list[Any]:
+        """``x' = f + g u`` there, and the constants do not change."""
+        moved = plus(self.functions("f"), product(self.functions("g"), [[u] for u in self.push]))
+        return [self.field.lift(v) for (v,) in moved] + [self.field.lift(0)] * self.m
+
+    def rest(self) -> Elimination:
+        """What holds where the Lyapunov function rests: no dissipation, gamma constant, eta too for natural damping."""
+        signals = ["gamma", "eta"] if "natural-damping" in self.law else ["gamma"]
+        require(len(signals) == 1 or is_definite(self.theta), "Theta may not be positive definite")
+        one_u, values = [self.field.lift(1), *self.push], [*self.field.symbols[: self.n], *self.push]
+        equations = [self.field.lift(put_in(self.field, row, values)) for row in self.rows]
+        equations += [dot(row, one_u) for name in signals for row in self.rate(name)]
+        return Elimination(self.field, self.rates, equations)
+
+    def chain(self, claim: str) -> Elimination:
+        """What follows from that by the steps of the certificate: that nothing moves."""
+        chain = self.rest()
+        self._follow(chain, self.witness[claim]["steps"])
+        self.zero([chain.reduced(v) for v in self.rates], "the invariant set may move")
+        return chain
+
+    def _follow(self, chain: Elimination, steps: Sequence[Any]) -> None:
+        for source, *rest in steps:
+            if rest:
+                k, place, *through = rest
+                kind, scale = through or ("", "1")
+                found = chain.solve(source, k, self.vector([place])[0], kind, rational(scale))
+                require(found, "a step does not follow")
+            else:
+                chain.derive(source)
+
+    # --- on the whole space ----------------------------------------------------------------------------------------
+
+    def proved_globally_asymptotically_stable(self) -> None:
+        """The Lyapunov function is radially unbounded, and x* is the only point of LaSalle's set."""
+        claim = _GLOBAL
+        require(not self.model.domain, "the model is restricted to a domain")
+        self.lyapunov()
+        require({self.domain[c] for c in ("assumption-1", "passive-output")} == {"all x"}, "it holds on a domain only")
+        if "steps" not in self.witness[claim]:
+            raise NotCheckable("the certificate does not hold the chain of implications")
+        self.grows(self.witness[claim])
+        chain, n = self.chain(claim), self.n
+        if "power" in self.witness[claim]:
+            self.nonnegative(self.convex_part(chain, self.witness[claim]["power"]), claim)
+        elif "squares" in self.witness[claim]:  # (rest) is monotone in the constant input
+            require({*chain.solved} >= {*range(n)}, "a state is left over")
+            self.nonnegative(self.compliance(chain), claim)
+        else:
+            still = [chain.solved[n + j].number() for j in range(self.m)]
+            require(still == self.resting_input, "the input is not determined")
+            chain.equations += [row[0] - v for row, v in self.changes("gamma")]
+            self._follow(chain, self.witness[claim]["then"])
+            require([chain.solved[k].number() for k in range(n)] == self.point[0], "x* may not be the only rest")
+        require(self.field.entire(), "the model may not be smooth everywhere")
+
+    def convex_part(self, chain: Elimination, places: Sequence[Sequence[int | None]]) -> Matrix:
+        """The Hessian of S in the states that are not at their values of x* at every rest.
+
+        There ``grad S - grad gamma u = N (f + g u) = 0``. Where S is convex and gamma affine, a rest with u = u* + w
+        would have ``w^T (gamma - gamma*) >= 0``, and (rest) has the other sign unless w = 0.
+        """
+        N, S = [self.vector(row) for row in places], self.column("S")[0]
+        balance = plus(transpose(self.slope("S")), product(N, self.functions("f")), -1)
+        follows = plus(transpose(self.slope("gamma")), product(N, self.functions("g")))
+        require(not self.compensated, "the storage is not the Lyapunov function's")
+        self.zero([v for row in (*balance, *follows) for v in row], "grad S does not vanish at rest")
+        require(all(v.number() is not None for row in self.slope("gamma") for v in row), "gamma is not affine")
+        fixed = {k: v for k, v in chain.solved.items() if k < self.n and v.number() == self.point[0][k]}
+        S = self.field.lift(put_in(self.field, S, [fixed.get(k, v) for k, v in enumerate(self.field.symbols)]))
+        free = [k for k in range(self.n) if k not in fixed]
+        return [[slopes(self.field, slopes(self.field, S)[i])[j] for j in free] for i in free]
+
+    def compliance(self, chain: Elimination) -> Matrix:
+        """``d gamma / d ubar + K_c^-1``, its symmetric part: (rest) has one solution where this is nonnegative."""
+        along = [slopes(self.field, chain.reduced(v))[self.n :] for v in self.column("gamma")]
+        soft = [[(a + b) / 2 for a, b in zip(*rows, strict=True)] for rows in zip(along, transpose(along), strict=True)]
+        K_c = self.model.gains.get("K_c")
+        return soft if K_c is None else plus(soft, fmpq_mat(K_c).inv().tolist())
+
+    def grows(self, witness: Any) -> None:
+        """The Lyapunov function is radially unbounded.
+
+        The storage is ``sum s_i t_i^2 + sum lambda_j gamma_j``, squares, and bounded terms. Each t_i, and each gamma_j
+        whose ln cosh outgrows ``lambda_j - u_j*``, is a coordinate: it gives one more state in terms of the earlier.
+        """
+        V = self.potential(self.field.symbols[: self.half], self.field.lift) if self.compensated else 0
+        rest, gamma, one = self.column("S")[0] - V, self.column("gamma"), self.field.lift(1)
+        linear = self.given(_GLOBAL, "linear")
+        force = [a if self.compensated else a - u for a, u in zip(linear, self.point[1], strict=True)]
+        outgrown = [sign(a - abs(v)) == 1 for a, v in zip(self.model.vector("alpha"), force, strict=True)]
+        found = witness["coordinates"]
+        coordinates = [(one, gamma[i], k) if w is None else (self.placed[w], self.placed[i], k) for w, i, k in found]
+        require(spans(self.field, self.n, coordinates), "these are no coordinates")
+        require(all(outgrown[i] for w, i, _ in found if w is None), "ln cosh does not outgrow the linear terms")
+        for (w, _, _), (s, t, _) in zip(found, coordinates, strict=True):
+            rest = rest if w is None else rest - s * t * t
+        steady = {place for w, place, _ in found if w is not None and self.placed[w].number()}
+        for j, row in enumerate(witness["rows"]):  # gamma_j is affine in these coordinates, or ln cosh outgrows it
+            rest = rest - gamma[j] * linear[j]
+            affine = gamma[j] - sum((self.placed[int(p)] * rational(c) for p, c in row.items()), fmpq(0))
+            slow = steady >= {int(p) for p in row} and self.field.lift(affine).number() is not None
+            require(outgrown[j] or slow, "gamma may outgrow the storage")
+        require(
+            self.field.bounded(self.without_squares([[self.field.lift(rest)]], _GLOBAL, "excess")[0][0]), "more grows"
+        )
+
+    def refuted_globally_asymptotically_stable(self) -> None:
+        """x* is not attractive, or there is another equilibrium: by Krawczyk's test, apart from x*."""
+        if self.status["asymptotically-stable"] == "REFUTED":
+            return self.refuted_asymptotically_stable()
+        centre = self.given(_GLOBAL, "centre")
+        box = krawczyk(self.rest_equations, centre, rational(self.witness[_GLOBAL]["radius"]))
+        require(box is not None, "Krawczyk's test does not hold")
+        apart = [sign(a - b) for a, b in zip((box or [])[: self.n], self.point[0], strict=True)]
+        require({1, -1} & {*apart}, "this may be x* again")
+        return None
+
+    def rest_equations(self, z: Sequence[Any]) -> list[Any]:
+        """``f + g u`` with ``u = u_c + c``, and what the filters ask of c; zero at equilibria of the closed loop."""
+        x, c = z[: self.n], z[self.n :]
+        found, u = self.walk(x), c
+        if self.compensated:
+            V = self.potential(variables(x[: self.half]), fmpq)
+            u = [v + partial(V, k) for k, v in enumerate(c)]
+        drift = plus(found["f"], product(found["g"], [[v] for v in u]))
+        w = [[a - b] for a, b in zip(c, self.resting_input, strict=True)]
+        offset = plus(found["gamma"], self.numbers("gamma"), -1)
+        if "K_c" in self.model.gains:
+            offset = plus(offset, product(fmpq_mat(self.model.gains["K_c"]).inv().tolist(), w))
+        pairs = zip(w, self.model.vector("alpha"), self.model.vector("beta"), offset, strict=True)
+        return [v for (v,) in drift] + [v + a * apply("tanh", z * b) for (v,), a, b, (z,) in pairs]
+
+    # --- sampled ---------------------------------------------------------------------------------------------------
+
+    def proved_sampled_stable(self) -> None:
+        """The linearised sampled loop is Schur; on the whole space, or without that, the storage decreases."""
+        whole = self.domain["sampled-stable"] == "sampled loop, all x"
+        linear = stable(self.sampled, True, self.storage("sampled-stable"))
+        if whole or not linear:
+            require(linear is not False, "the linearised sampled loop is not Schur")
+            if "Lambda" not in self.witness["sampled-stable"]:
+                raise NotCheckable("the certificate does not hold the damping that sampling consumes")
+            (self.proved_globally_asymptotically_stable if whole else self.proved_asymptotically_stable)()
+            self._decreases()
+
+    def refuted_sampled_stable(self) -> None:
+        """An eigenvalue of the linearised sampled loop lies outside the unit disc."""
+        require(stable(self.sampled, True) is False, "no eigenvalue certainly lies outside the unit disc")
+
+    def _decreases(self) -> None:
+        """What a period h consumes leaves damping: ``Lambda - h C / 2 > 0`` for y, or Theta > 0 with that."""
+        self.lyapunov()
+        claim, h, gains, damped = "sampled-stable", self.period, self.model.gains, "natural-damping" in self.law
+        rates = (self.rate("eta") if damped else []) + self.rate("gamma")
+        Lambda = [[rational(v) for v in row] for row in self.witness[claim]["Lambda"]]
+        self.nonnegative(plus(self.power, product(transpose(rates), Lambda, rates), -1), claim)
+        consumed = [row[k] for k, row in enumerate(self.stiffness)]
+        if damped:
+            consumed = [c + a * b for c, a, b in zip(consumed, gains["alpha_l"][0], gains["beta_l"][0], strict=True)]
+        if self.compensated:
+            bounds = [[self.field.bound(v) for v in slopes(self.field, row)[: self.half]] for row in self.force]
+            for i, row in enumerate(bounds):
+                least = row[i][0] - row[i][1] - sum((abs(c) + r for j, (c, r) in enumerate(row) if j != i), fmpq(0))
+                consumed[i] += max(-least, fmpq(0))
+        s = len(rates) - self.m
+        left = plus(Lambda, diagonal([fmpq(0)] * s + [c * h / 2 for c in consumed]), -1)
+        if damped:
+            side = blocks([[[[v / -2 for v in row] for row in self.upsilon(s)], diagonal([fmpq(1, 2)] * self.m)]])
+            left = blocks([[left, transpose(side)], [side, product(gains["K_l"], gains["R_l"])]])
+        require(is_definite(left), "the storage may grow from sample to sample")

@@ -1,0 +1,200 @@
+"""Designs of many kinds, for certificates of many kinds."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from pbcgen import (
+    AffineSystem,
+    Design,
+    DynamicExtension,
+    Limits,
+    Mechanical,
+    NaturalDamping,
+    PassiveOutput,
+    PotentialCompensation,
+    load,
+)
+
+LAW = DynamicExtension(2, 3, 5, 1)
+
+
+def _symbols(*names):
+    return [ca.SX.sym(name) for name in names]
+
+
+def _design(system, target, law=LAW, **options):
+    return Design(system, target, law, **{"sample_period": "1e-3", "name": "trial", **options})
+
+
+def _one(V, D=1, M=1, **options):
+    q, p = _symbols("q", "p")
+    return Mechanical([q], [p], M=[[M]], V=V(q), D=[D], G=[[1]], **options)
+
+
+def _two(V, D, G=((1,), (0,))):
+    q1, q2, p1, p2 = _symbols("q1", "q2", "p1", "p2")
+    return Mechanical([q1, q2], [p1, p2], M=ca.SX.eye(2), V=V(q1, q2), G=list(G), D=D(p1, p2))
+
+
+def _three(masses, damping):
+    q, p = ca.SX.sym("q", 3), ca.SX.sym("p", 3)
+    V = (q[0] - q[1]) ** 2 / 2 + (q[2] - q[1]) ** 2 / 2
+    return Mechanical(q, p, M=ca.diag(ca.SX(masses)), V=V, G=[[0], [1], [0]], D=damping)
+
+
+def _planar(f, S, **options):
+    x, y = _symbols("x0", "x1")
+    return AffineSystem([x, y], [ca.SX.sym("u")], f(x, y), [0, 1], S(x, y), **options)
+
+
+def _round(x, y):
+    return (x**2 + y**2) / 2
+
+
+def hardening_spring():
+    return _design(_one(lambda q: q**2 / 2 + q**4 / 4), {"q": "0.5"})
+
+
+def softening_spring():
+    return _design(_one(lambda q: q**2 / 2 - q**4 / 40), {"q": 0})
+
+
+def weakly_held_pendulum():
+    return _design(_one(lambda q: 10 * (1 - ca.cos(q))), {"q": 0})
+
+
+def compensated_pendulum():
+    return _design(_one(lambda q: 10 * (1 - ca.cos(q))), {"q": "0.5"}, PotentialCompensation(20, 3, 50, 1))
+
+
+def cubic_damping():
+    return _design(_two(lambda a, b: a**2 / 2 + b**2 / 2 + a * b / 2, lambda a, b: [0, b**2]), {"q1": "0.5"})
+
+
+def uncoupled_cubic_damping():
+    return _design(_two(lambda a, b: a**2 / 2 + b**2 / 2, lambda a, b: [0, b**2]), {"q1": "0.5"})
+
+
+def undamped_mode():
+    return _design(_two(lambda a, b: a**2 / 2 + b**2 / 2, lambda a, b: [0, 0]), {"q1": "0.5"})
+
+
+def antisymmetric_mode():
+    return _design(_three([1, 1, 1], [0, 0, 0]), {"q_1": "0.5"})
+
+
+def damped_modes():
+    return _design(_three([1, 1, 1], [1, 0, 1]), {"q_1": "0.5"})
+
+
+def conserved_charge():
+    x1, x2, u = _symbols("x1", "x2", "u")
+    return _design(AffineSystem([x1, x2], [u], [-(x1 - x2), x1 - x2], [1, -1], x1**2 / 2 + x2**2 / 2), [0, 0])
+
+
+def buck_converter(law=None):
+    i, v, u = _symbols("i", "v", "d")
+    system = AffineSystem(
+        [i, v], [u], [-v / 0.5, (i - v / 3) / 0.2], [20, 0], 0.25 * i**2 + 0.1 * v**2, measured=["i", "v"]
+    )
+    return _design(system, {"v": 5}, law or DynamicExtension("0.4", 1, 5, 1), limits=Limits([(0, 1)]))
+
+
+def buck_converter_full():
+    return buck_converter(PassiveOutput("0.2", 1, "0.1"))
+
+
+def constant_load():
+    return _design(_one(lambda q: 1.5 * q), {"q": 0}, DynamicExtension(1, 3, 5, 1))
+
+
+def coupling_device_with_theta():
+    law = NaturalDamping("2.5", 450, 10**6, "0.3", alpha_l="2.5", beta_l=2 * 10**6, K_l=15, R_l=33)
+    return load("coupling_device").with_(law=law)
+
+
+def damping_on_a_box():
+    """Damped where abs(x0) <= 1 only: on the edge of the box the damping vanishes."""
+    system = _planar(lambda x, y: [y, -x - (1 - x**2) * y], _round, domain={"x0": (-1, 1)})
+    return _design(system, [0, 0])
+
+
+def narrow_band():
+    """The damping almost vanishes in a narrow band: nothing but branch and bound shows that it does not."""
+    system = _planar(
+        lambda x, y: [y, -x - (1.001 - ca.exp(-(((y - 2) / 0.02) ** 2))) * y],
+        _round,
+        domain={"x0": (-5, 5), "x1": (-5, 5)},
+    )
+    return _design(system, [0, 0])
+
+
+def quartic_dissipation():
+    """Nonnegative as a sum of squares that semidefinite programming finds."""
+    return _design(_planar(lambda x, y: [y - (2 * x**3 + 2 * x**2 * y), -x + x**2 * y - 5 * y**3], _round), [0, 0])
+
+
+def negative_damping():
+    return _design(_one(lambda q: q**2 / 2, D=-1), {"q": 0})
+
+
+def unassignable_target():
+    return _design(_two(lambda a, b: a**2 / 2 + b**2, lambda a, b: [1, 1]), {"q1": 1, "q2": 1, "p1": 0, "p2": 0})
+
+
+def wrong_output():
+    """A gamma of the wrong sign that comes with the model."""
+    x, y = _symbols("x0", "x1")
+    system = AffineSystem([x, y], [ca.SX.sym("u")], [y, -x - y], [0, 1], (x**2 + y**2) / 2, gamma=[-x])
+    return _design(system, [0, 0])
+
+
+def chain(masses=12):
+    """A chain of masses: more states than Routh's array is used for."""
+    q, p = ca.SX.sym("q", masses), ca.SX.sym("p", masses)
+    V = sum(((q[k] - q[k + 1]) ** 2 for k in range(masses - 1)), q[0] ** 2) / 2
+    G = [[1]] + [[0]] * (masses - 1)
+    return _design(
+        Mechanical(q, p, M=ca.SX.eye(masses), V=V, G=G, D=[1] * masses), {"q_0": "0.5"}, sample_period="1e-2"
+    )
+
+
+def two_links():
+    """A planar arm with two joints, gravity compensated."""
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    c = ca.cos(q[1])
+    M = ca.blockcat([[3 + 2 * c, 1 + c], [1 + c, ca.SX(1)]])
+    V = 10 * ca.sin(q[0]) + 5 * ca.sin(q[0] + q[1])
+    law = PotentialCompensation([20, 10], [3, 3], [50, 50], [1, 1])
+    system = Mechanical(q, p, M=M, V=V, G=ca.SX.eye(2), D=[1, 1])
+    return _design(system, {"q_0": "0.5", "q_1": "0.25"}, law)
+
+
+DESIGNS = {
+    f.__name__: f
+    for f in (
+        hardening_spring,
+        softening_spring,
+        weakly_held_pendulum,
+        compensated_pendulum,
+        cubic_damping,
+        uncoupled_cubic_damping,
+        undamped_mode,
+        antisymmetric_mode,
+        damped_modes,
+        conserved_charge,
+        buck_converter,
+        buck_converter_full,
+        constant_load,
+        coupling_device_with_theta,
+        damping_on_a_box,
+        narrow_band,
+        quartic_dissipation,
+        negative_damping,
+        unassignable_target,
+        wrong_output,
+        chain,
+        two_links,
+    )
+}

@@ -1,0 +1,258 @@
+"""Witnesses of every kind: each is checked, and none that is forged is believed."""
+
+import copy
+import functools
+import json
+
+import pytest
+from certificates import certificate_of, outcomes, signed
+from designs import DESIGNS
+
+from pbcgen.control.certificate import certificate
+from pbcgen.control.derive import derive
+
+GLOBAL, LOCAL, SAMPLED = "globally-asymptotically-stable", "asymptotically-stable", "sampled-stable"
+
+
+@functools.cache
+def _written(name):
+    return json.dumps(certificate(derive(DESIGNS[name]())))
+
+
+def document_of(name):
+    return json.loads(_written(name)) if name in DESIGNS else certificate_of(name)
+
+
+def witness(document, claim):
+    return next(entry["witness"] for entry in document["claims"] if entry["claim"] == claim)
+
+
+def status(document, claim):
+    return next(entry["status"] for entry in document["claims"] if entry["claim"] == claim)
+
+
+def with_witness(document, claim, **changes):
+    """The document with parts of a witness replaced."""
+    document = copy.deepcopy(document)
+    for entry in document["claims"]:
+        if entry["claim"] == claim:
+            entry["witness"] = {**(entry["witness"] or {}), **changes}
+    return signed(document)
+
+
+#: The shape of the witness that each design is here for: claim, verdict, what the witness must hold.
+KINDS = {
+    "hardening_spring": (GLOBAL, "PROVED", "power"),
+    "softening_spring": (GLOBAL, "REFUTED", "centre"),
+    "weakly_held_pendulum": (GLOBAL, "REFUTED", "centre"),
+    "compensated_pendulum": (GLOBAL, "PROVED", "then"),
+    "uncoupled_cubic_damping": (LOCAL, "PROVED", "steps"),
+    "undamped_mode": (LOCAL, "REFUTED", "set"),
+    "antisymmetric_mode": (LOCAL, "REFUTED", "set"),
+    "conserved_charge": (LOCAL, "REFUTED", "conserved"),
+    "buck_converter": (GLOBAL, "PROVED", "squares"),
+    "buck_converter_full": (GLOBAL, "PROVED", "squares"),
+    "constant_load": (GLOBAL, "PROVED", "steps"),
+    "coupling_device_with_theta": (GLOBAL, "PROVED", "steps"),
+    "damping_on_a_box": ("assumption-1", "PROVED", "squares"),
+    "narrow_band": ("assumption-1", "PROVED", "squares"),
+    "unassignable_target": ("equilibrium", "REFUTED", "rows"),
+    "wrong_output": ("passive-output", "REFUTED", "x"),
+    "chain": (LOCAL, "PROVED", "P"),
+    "two_links": (SAMPLED, "PROVED", "Lambda"),
+    "rlc": (GLOBAL, "PROVED", "coordinates"),
+    "pera": (GLOBAL, "PROVED", "then"),
+}
+
+
+@pytest.mark.parametrize("name", [*DESIGNS, "rlc", "pera", "pera_integral", "coupling_device"])
+def test_every_verdict_is_checked_again(name):
+    document = document_of(name)
+    found = outcomes(document)
+    expected = {e["claim"]: "open" if e["status"] == "UNDECIDED" else "checked" for e in document["claims"]}
+    assert found == expected
+    if name in KINDS:
+        claim, verdict, part = KINDS[name]
+        assert status(document, claim) == verdict
+        assert part in witness(document, claim)
+
+
+def test_a_sum_of_squares_from_semidefinite_programming_is_checked():
+    pytest.importorskip("clarabel")
+    document = document_of("quartic_dissipation")
+    assert outcomes(document)["assumption-1"] == "checked"
+    squares = witness(document, "assumption-1")["squares"]
+    k = next(k for k, (_, factors, _) in enumerate(squares) if not factors)
+    for changed in (squares[:k] + squares[k + 1 :], [*squares, squares[k]]):
+        assert outcomes(with_witness(document, "assumption-1", squares=changed))["assumption-1"] == "fails"
+    other = copy.deepcopy(squares)
+    other[k][2] = [place and place + 1 for place in other[k][2]]
+    assert outcomes(with_witness(document, "assumption-1", squares=other))["assumption-1"] == "fails"
+
+
+def _with_tree(document, change):
+    squares = copy.deepcopy(witness(document, "assumption-1")["squares"])
+    for _, factors, _ in squares:
+        for factor in factors:
+            if factor[0] == "box":
+                factor[2][0] = change(factor[2][0])
+    return with_witness(document, "assumption-1", squares=squares)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda tree: tree[:-1],
+        lambda tree: tree + ".",
+        lambda tree: "",
+        lambda tree: ".",
+        lambda tree: "a" + tree[1:],
+        lambda tree: "z" + tree[1:],
+        lambda tree: "1" + tree[1:],
+    ],
+    ids=["a leaf is missing", "a leaf too many", "empty", "one leaf", "another coordinate", "no coordinate", "a digit"],
+)
+def test_a_tree_that_does_not_cover_the_box_is_refused(change):
+    document = document_of("narrow_band")
+    trees = [f[2][0] for _, factors, _ in witness(document, "assumption-1")["squares"] for f in factors]
+    assert all(len(tree) > 20 for tree in trees)
+    assert outcomes(_with_tree(document, change))["assumption-1"] == "fails"
+
+
+def test_a_box_is_no_proof_for_another_domain():
+    document = document_of("narrow_band")
+    for domain in ("all x", "all x where the model is defined", "x0 in [-5, 6], x1 in [-5, 5]", "x0 in [-5, 5]"):
+        changed = copy.deepcopy(document)
+        for entry in changed["claims"]:
+            entry["domain"] = domain if entry["claim"] == "assumption-1" else entry["domain"]
+        assert outcomes(signed(changed))["assumption-1"] == "fails", domain
+    wider = document | {"model": [line.replace("domain x1 -5 5", "domain x1 -5 7") for line in document["model"]]}
+    assert outcomes(signed(wider))["assumption-1"] == "fails"
+
+
+def _with_storage(P):
+    """The certificate of the chain with this storage for its sampled loop, and nothing else for that claim."""
+    document = copy.deepcopy(document_of("chain"))
+    for entry in document["claims"]:
+        if entry["claim"] == SAMPLED:
+            entry |= {"witness": {"P": P}, "domain": "sampled loop"}
+    return outcomes(signed(document))[SAMPLED]
+
+
+def test_a_storage_that_is_not_definite_or_does_not_fall_is_refused():
+    P = witness(document_of("chain"), SAMPLED)["P"]
+    assert _with_storage(P) == "checked"
+    for i in (0, len(P) // 2, len(P) - 1):
+        for entry in ("0", "-1"):
+            assert _with_storage([*P[:i], [*P[i][:-1], entry], *P[i + 1 :]]) != "checked"
+    negative = [[v.removeprefix("-") if v.startswith("-") else f"-{v}" for v in row] for row in P]
+    for rows in ([], P[:-1], negative):
+        assert _with_storage(rows) != "checked"
+
+
+def test_x_star_is_no_second_equilibrium():
+    document = document_of("softening_spring")
+    centre = ["0"] * len(witness(document, GLOBAL)["centre"])
+    assert outcomes(with_witness(document, GLOBAL, centre=centre))[GLOBAL] == "fails"
+    moved = [str(float(v) + 0.01) for v in witness(document, GLOBAL)["centre"]]
+    assert outcomes(with_witness(document, GLOBAL, centre=moved))[GLOBAL] == "fails"
+
+
+@pytest.mark.parametrize("vector", [["0", "0"], ["1", "-1"], ["1", "2"]])
+def test_what_is_not_conserved_is_refused(vector):
+    assert outcomes(with_witness(document_of("conserved_charge"), LOCAL, conserved=vector))[LOCAL] == "fails"
+
+
+def test_a_set_that_does_not_rest_or_misses_x_star_is_refused():
+    document = document_of("undamped_mode")
+    found = witness(document, LOCAL)["set"]
+    for changed in (
+        {},
+        {k: v for k, v in found.items() if k != "0"},
+        {**found, "1": next(iter(found.values())), "3": next(iter(found.values()))},
+        {k: v + 1 for k, v in found.items()},
+    ):
+        assert outcomes(with_witness(document, LOCAL, set=changed))[LOCAL] == "fails"
+
+
+@pytest.mark.parametrize("name", ["compensated_pendulum", "buck_converter", "hardening_spring", "pera", "rlc"])
+def test_no_step_of_a_chain_can_be_left_out_or_be_another(name):
+    document = document_of(name)
+    steps = witness(document, GLOBAL)["steps"]
+    for k, step in enumerate(steps):
+        assert outcomes(with_witness(document, GLOBAL, steps=steps[:k] + steps[k + 1 :]))[GLOBAL] == "fails"
+        if len(step) > 1:
+            for at, value in ((1, step[1] + 1), (2, step[2] + 1), (3, "exp")):
+                other = [*step[:at], value, *step[at + 1 :]]
+                found = outcomes(with_witness(document, GLOBAL, steps=[*steps[:k], other, *steps[k + 1 :]]))
+                assert found[GLOBAL] == "fails", (step, other)
+
+
+@pytest.mark.parametrize("name", ["compensated_pendulum", "buck_converter", "hardening_spring", "pera", "rlc"])
+def test_growth_needs_every_coordinate_in_its_place(name):
+    document = document_of(name)
+    found = witness(document, GLOBAL)["coordinates"]
+    for k, (weight, place, state) in enumerate(found):
+        for changed in (found[:k] + found[k + 1 :], [*found[:k], [weight, place, state + 1], *found[k + 1 :]]):
+            assert outcomes(with_witness(document, GLOBAL, coordinates=changed))[GLOBAL] == "fails"
+
+
+def test_amplitudes_below_the_load_do_not_make_the_storage_grow():
+    """V = 1.5 q is cancelled by kappa; with twice that load, or as `linear` states it, only ln cosh is left."""
+    document = document_of("constant_load")
+    linear = witness(document, GLOBAL)["linear"]
+    assert linear != ["0"]
+    assert outcomes(with_witness(document, GLOBAL, linear=["0"]))[GLOBAL] == "fails"
+
+
+@pytest.mark.parametrize("name", ["hardening_spring", "buck_converter", "pera", "rlc", "damped_modes", "chain"])
+def test_a_global_claim_needs_the_whole_space(name):
+    document = document_of(name)
+    states = next(line for line in document["model"] if line.startswith("states")).split()[1:]
+    restricted = document | {"model": [*document["model"], f"domain {states[0]} -1000 1000"]}
+    assert outcomes(signed(restricted))[GLOBAL] == "fails"
+    changed = copy.deepcopy(document)
+    for entry in changed["claims"]:
+        entry["domain"] = "all x where the model is defined" if entry["claim"] == "assumption-1" else entry["domain"]
+    assert outcomes(signed(changed))[GLOBAL] == "fails"
+
+
+#: Two designs of the same shape, the first with the claim PROVED, the second without.
+PAIRS = [
+    ("hardening_spring", "softening_spring", GLOBAL),
+    ("compensated_pendulum", "weakly_held_pendulum", GLOBAL),
+    ("cubic_damping", "undamped_mode", LOCAL),
+    ("uncoupled_cubic_damping", "undamped_mode", LOCAL),
+    ("damped_modes", "antisymmetric_mode", LOCAL),
+    ("damped_modes", "antisymmetric_mode", GLOBAL),
+    ("hardening_spring", "negative_damping", "assumption-1"),
+    ("cubic_damping", "unassignable_target", "equilibrium"),
+]
+
+
+@pytest.mark.parametrize(("good", "bad", "claim"), PAIRS)
+def test_the_certificate_of_a_provable_model_does_not_serve_another(good, bad, claim):
+    document, other = document_of(good), document_of(bad)
+    assert outcomes(document)[claim] == "checked"
+    assert status(other, claim) != "PROVED"
+    for forged in (document | {"model": other["model"]}, document | {k: other[k] for k in ("model", "formulas")}):
+        assert outcomes(signed(forged))[claim] != "checked"
+
+
+@pytest.mark.parametrize(("good", "bad", "claim"), PAIRS)
+def test_what_is_refuted_is_not_refuted_of_the_provable_model(good, bad, claim):
+    document, other = document_of(good), document_of(bad)
+    forged = copy.deepcopy(document)
+    for entry in forged["claims"]:
+        if entry["claim"] == claim:
+            entry |= {"status": "REFUTED", "witness": witness(other, claim)}
+    assert outcomes(signed(forged))[claim] != "checked"
+
+
+def test_the_damping_that_sampling_consumes_must_be_there():
+    document = document_of("two_links")
+    Lambda = witness(document, SAMPLED)["Lambda"]
+    more = [[f"{v}0" if i == j else v for j, v in enumerate(row)] for i, row in enumerate(Lambda)]
+    assert outcomes(with_witness(document, SAMPLED, Lambda=more))[SAMPLED] == "fails"
+    slow = document | {"model": [line.replace("sample period 1/1000", "sample period 3") for line in document["model"]]}
+    assert outcomes(signed(slow))[SAMPLED] == "fails"
