@@ -1,29 +1,25 @@
-"""How the checks scale: an RLC ladder and a mass-spring chain of n states, and the reference systems.
+"""How the checks scale: all of `pbcgen check`, by the number of states or links.
 
-    python benchmarks/proofs.py [n ...]
+    python benchmarks/proofs.py [family ...]
 
-Prints the seconds of each stage and, between consecutive sizes, the exponent of growth. Run it with
+Families: references, ladder, chain, arm, black-box, lasalle, region; all if none is named. Prints the seconds of each
+stage that takes any, the memory that was added, and between consecutive sizes the exponent of growth. Run it with
 OPENBLAS_NUM_THREADS=1 where other programs use the cores too.
 """
 
 from __future__ import annotations
 
 import math
+import resource
 import sys
 from collections.abc import Callable
 from importlib import import_module
 from time import perf_counter
 
 import casadi as ca
-import numpy as np
 
-from pbcgen import AffineSystem, Circuit, Design, DynamicExtension, Limits, Parameters
-from pbcgen.passivity import passive_output
-from pbcgen.passivity.equilibrium import complete
-from pbcgen.passivity.plant import Plant
-from pbcgen.passivity.storage import assumption_1
-from pbcgen.pipeline import check
-from pbcgen.proof.spectrum import hurwitz
+from pbcgen import AffineSystem, Circuit, Design, DynamicExtension, Limits, Mechanical, Parameters
+from pbcgen.pipeline import Report, check, region
 from pbcgen.symbolic.tape import Tape
 
 REFERENCES = ("coupling_device", "rlc", "pera", "pera_integral")
@@ -52,8 +48,9 @@ def ladder(n: int) -> Design:
         parameters=p,
         name="RLC ladder",
     )
-    law = DynamicExtension(alpha=1000, beta=1, K_c=1, R_c=1)
-    return Design(circuit, target={f"v{k - 1}": "0.01"}, law=law, limits=Limits.symmetric(10**6), sample_period="1e-5")
+    law = DynamicExtension(alpha=10, beta=1, K_c=1, R_c=1)
+    target = {f"v{k - 1}": "1e-9"}
+    return Design(circuit, target=target, law=law, limits=Limits.symmetric(10**3), sample_period="1e-6")
 
 
 def chain(n: int) -> Design:
@@ -76,54 +73,142 @@ def chain(n: int) -> Design:
     return Design(system, target={f"q{k - 1}": "0.1"}, law=law, limits=Limits.symmetric(100), sample_period="1e-3")
 
 
-def stages(design: Design) -> dict[str, float]:
-    """Seconds of the stages that decide the claims of the open-loop system, and of a spectrum of its size."""
-    plant = Plant(design.system)
-    times = [perf_counter()]
-    point = complete(plant, design).point
-    times.append(perf_counter())
-    storage = assumption_1(plant)
-    times.append(perf_counter())
-    passive_output.find(plant, storage.structure, storage.proved, storage.by_structure, storage.region, point)
-    times.append(perf_counter())
-    assert storage.proved
-    assert point is not None
-    (slope,) = plant.at(point, ca.densify(ca.jacobian(plant.system.xdot, plant.system.x)))
-    hurwitz(slope)
-    times.append(perf_counter())
-    names = ("equilibrium", "assumption-1", "passive output", "hurwitz")
-    return dict(zip(names, np.diff(times).tolist(), strict=True))
+def _angles(n: int) -> tuple[ca.SX, list[ca.SX], Parameters]:
+    """The joints of a planar arm, the positions of its point masses, and its parameters."""
+    q = ca.vertcat(*[ca.SX.sym(f"q{k}") for k in range(n)])
+    p = Parameters(m="0.7", l="0.4", g="9.81", J="0.05", d="2")
+    positions, angle, at = [], ca.SX(0), ca.SX(2, 1)
+    for k in range(n):
+        angle = angle + q[k]
+        at = at + p.l * ca.vertcat(ca.sin(angle), -ca.cos(angle))
+        positions.append(at)
+    return q, positions, p
 
 
-def growth(make: Callable[[int], Design], sizes: list[int]) -> None:
+def _arm(system: Mechanical, n: int) -> Design:
+    law = DynamicExtension(alpha=[20] * n, beta=1, K_c=1, R_c=1)
+    target = {f"q{k}": "0" for k in range(n)}
+    return Design(system, target=target, law=law, limits=Limits.symmetric(100), sample_period="1e-3")
+
+
+def arm(n: int) -> Design:
+    """A planar arm of n links with ``M = sum J_i^T W_i J_i``."""
+    q, positions, p = _angles(n)
+    momenta = ca.vertcat(*[ca.SX.sym(f"p{k}") for k in range(n)])
+    jacobians = [ca.jacobian(position, q) for position in positions]
+    M = p.J * ca.SX.eye(n) + p.m * sum((ca.mtimes(J.T, J) for J in jacobians), ca.SX(n, n))
+    V = p.m * p.g * sum((position[1] for position in positions), ca.SX(0))
+    return _arm(Mechanical(q, momenta, M=M, V=V, G=ca.SX.eye(n), D=[p.d] * n, parameters=p, name="planar arm"), n)
+
+
+def black_box(n: int) -> Design:
+    """The same arm with its kinetic energy from the velocities of the masses: M is what comes out of that."""
+    q, positions, p = _angles(n)
+    v = ca.vertcat(*[ca.SX.sym(f"v{k}") for k in range(n)])
+    velocities = [ca.mtimes(ca.jacobian(position, q), v) for position in positions]
+    T = p.J * ca.dot(v, v) / 2 + p.m * sum((ca.dot(w, w) for w in velocities), ca.SX(0)) / 2
+    V = p.m * p.g * sum((position[1] for position in positions), ca.SX(0))
+    G, D = ca.SX.eye(n), [p.d] * n
+    system = Mechanical.from_lagrangian(q, v, T=T, V=V, G=G, D=D, parameters=p, name="planar arm from velocities")
+    return _arm(system, n)
+
+
+def lasalle(n: int) -> Design:
+    """A chain of (n - 1)/2 masses with friction at the last one only, and a motor: LaSalle needs every step."""
+    p = Parameters(m=1, k=10, d="0.5", L="0.1", r=1, b=2)
+    k = (n - 1) // 2
+    q, momenta = ([ca.SX.sym(f"{name}{j}") for j in range(k)] for name in "qp")
+    flux = ca.SX.sym("flux")
+    V = p.k * q[0] ** 2 / 2 + sum((p.k * (q[j] - q[j - 1]) ** 2 / 2 for j in range(1, k)), ca.SX(0))
+    force = ca.vertsplit(ca.gradient(V, ca.vertcat(*q)))
+    damping = [p.d * momenta[j] / p.m if j == k - 1 else ca.SX(0) for j in range(k)]
+    motor = [p.b * flux / p.L if j == 0 else ca.SX(0) for j in range(k)]
+    system = AffineSystem(
+        [*q, *momenta, flux],
+        [ca.SX.sym("u")],
+        [
+            *(v / p.m for v in momenta),
+            *(-f - d + t for f, d, t in zip(force, damping, motor, strict=True)),
+            -p.r * flux / p.L - p.b * momenta[0] / p.m,
+        ],
+        [0] * (n - 1) + [1],
+        V + sum((v**2 for v in momenta), ca.SX(0)) / (2 * p.m) + flux**2 / (2 * p.L),
+        parameters=p,
+        name="masses behind a motor",
+    )
+    law = DynamicExtension(alpha=10, beta=1, K_c=1, R_c=1)
+    return Design(system, target={f"q{k - 1}": "0.01"}, law=law, limits=Limits.symmetric(100), sample_period="1e-3")
+
+
+FAMILIES: dict[str, tuple[Callable[[int], Design], tuple[int, ...]]] = {
+    "ladder": (ladder, (20, 50, 100, 200)),
+    "chain": (chain, (20, 50, 100, 200)),
+    "arm": (arm, (2, 3, 5, 7, 10)),
+    "black-box": (black_box, (2, 3, 4, 5)),
+    "lasalle": (lasalle, (3, 5, 7)),
+}
+
+
+def memory() -> float:
+    """The largest resident set so far, in megabytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def proved(report: Report) -> str:
+    """How many claims are proved, and which are not."""
+    others = [f"{c.claim} {c.status}" for c in report.claims if str(c.status) != "PROVED"]
+    return f"{len(report.claims) - len(others)} of {len(report.claims)} proved" + "".join(f", {o}" for o in others)
+
+
+def growth(make: Callable[[int], Design], sizes: tuple[int, ...]) -> None:
     """A line for each size, with the exponents against the size before."""
-    print(f"\n{make(4).system.name}")
+    print(f"\n{make(sizes[0]).system.name}, all checks")
     before: tuple[int, dict[str, float]] | None = None
     for n in sizes:
-        found = stages(make(n))
-        found["total"] = sum(found.values())
+        design, used = make(n), memory()
+        report = check(design)
+        found = {name: s for name, s in report.timings.items() if name != "at the target"}
         cells = []
         for name, seconds in found.items():
+            if seconds < 0.01:
+                continue
             exponent = ""
-            if before is not None:
-                ratio = seconds / max(before[1][name], 1e-6)
-                exponent = f" (n^{math.log(ratio) / math.log(n / before[0]):.1f})"
+            if before is not None and before[1].get(name, 0) >= 0.01:
+                exponent = f" (n^{math.log(seconds / before[1][name]) / math.log(n / before[0]):.1f})"
             cells.append(f"{name} {seconds:.2f} s{exponent}")
-        print(f"  n = {n:4d}  " + "  ".join(cells), flush=True)
+        print(f"  n = {n:4d}  " + "  ".join(cells) + f"  +{memory() - used:.0f} MB; {proved(report)}", flush=True)
         before = n, found
 
 
-def main() -> None:
-    """Print everything."""
-    sizes = [int(a) for a in sys.argv[1:]] or [20, 50, 100, 200]
-    Tape.of([ca.SX.sym("x")], [ca.SX(1)])  # the first call loads libraries
+def references() -> None:
+    """The built-in models."""
     print("reference systems, all checks")
     for name in REFERENCES:
         start = perf_counter()
-        check(import_module(f"pbcgen.examples.{name}").design)
-        print(f"  {name:16s} {perf_counter() - start:.2f} s", flush=True)
-    growth(ladder, sizes)
-    growth(chain, [n for n in sizes if n <= 200])
+        report = check(import_module(f"pbcgen.examples.{name}").design)
+        print(f"  {name:16s} {perf_counter() - start:.2f} s; {proved(report)}", flush=True)
+
+
+def region_of_rlc() -> None:
+    """The region of attraction of the nonlinear circuit."""
+    report = check(import_module("pbcgen.examples.rlc").design)
+    start = perf_counter()
+    found = region(report)
+    print(f"\nregion of attraction of rlc {perf_counter() - start:.2f} s; {found.status}", flush=True)
+
+
+def main() -> None:
+    """Print everything that is asked for."""
+    wanted = sys.argv[1:] or ["references", *FAMILIES, "region"]
+    Tape.of([ca.SX.sym("x")], [ca.SX(1)])  # the first call loads libraries
+    check(import_module("pbcgen.examples.rlc").design)
+    for name in wanted:
+        if name == "references":
+            references()
+        elif name == "region":
+            region_of_rlc()
+        else:
+            growth(*FAMILIES[name])
 
 
 if __name__ == "__main__":

@@ -25,7 +25,9 @@ from pbcgen.control.transition import LinearLoop
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.passivity.construction import drift_by_construction
 from pbcgen.passivity.dissipation import NaturalDampingBounds, theta_is_strict
+from pbcgen.passivity.inertia import missing_for_definiteness
 from pbcgen.passivity.lasalle import Flow, InvariantSet, flow, invariant_set
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.structure import PowerStructure
@@ -310,23 +312,32 @@ def _global_premises(situation: Situation, by_lyapunov: bool) -> tuple[str, str]
             "the model is stated on a domain, not on the whole space",
             "remove the domain if the model holds everywhere",
         )
-    if not _entire(situation):
-        return "f, g or S is not defined on the whole space", "rely on the local claim"
+    undefined = _undefined(situation)
+    if undefined:
+        return undefined, "rely on the local claim"
     found = situation.invariant
     if found is None or not found.resting:
         return "the invariant set was not reduced to equilibria", "rely on the local claim"
     return None
 
 
-def _entire(situation: Situation) -> bool:
-    """Whether f, g, S and gamma are smooth on the whole space."""
-    system = situation.plant.system
+def _undefined(situation: Situation) -> str:
+    """Why f, g, S and gamma are not known to be smooth on the whole space; M^-1 is, where M is and M > 0."""
+    plant, system = situation.plant, situation.plant.system
+    parts = [system.f, system.g, system.S, situation.gamma]
+    mechanics = system.mechanical
+    if mechanics is not None and plant.gradient_is_exact and drift_by_construction(system):
+        missing = missing_for_definiteness(plant)
+        if missing:
+            return missing
+        parts = [mechanics.M, mechanics.V, mechanics.D, mechanics.G, situation.gamma]
     try:
-        field, _ = situation.plant.exact(system.f, system.g, system.S, situation.gamma)
-    except (UnsupportedOperation, ZeroDivisionError):
-        return False
+        field, _ = plant.exact(*parts)
+    except (UnsupportedOperation, ZeroDivisionError) as reason:
+        return str(reason)
     fine = all(atom.kind in _ENTIRE_KINDS for atom in field.atoms.values())
-    return fine and all(positive(d) or positive(-d) for d in field.divisors.values())
+    fine = fine and all(positive(d) or positive(-d) for d in field.divisors.values())
+    return "" if fine else "f, g or S is not defined on the whole space"
 
 
 def _growth(situation: Situation) -> Growth:

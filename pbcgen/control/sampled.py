@@ -34,8 +34,11 @@ _TRIES = 1500
 _WORK = 400_000
 #: For larger loops a refusal names no other period and no gain change.
 _LARGEST_SEARCH = 20
+#: The periods around the design's are examined for loops of at most so many states, unless it is asked for.
+_LARGEST_SCAN = 24
 
 _SPECTRAL = "exact zero-order hold, linearised implicit step, Routh array after a Moebius map, in ball arithmetic"
+_SPECTRAL_LARGE = "exact zero-order hold, linearised implicit step, Lyapunov matrix verified in ball arithmetic"
 _LYAPUNOV = "storage at the samples, Loewner order over the rationals"
 
 
@@ -137,12 +140,13 @@ def verdict(routes: Routes, asymptotic: Claim, overall: Claim, change: GainChang
         change: gains that would allow the period, for the hint.
     """
     spectral = routes.by_spectrum
+    by_spectrum = _SPECTRAL if routes.spectral.lyapunov is None else _SPECTRAL_LARGE
     lyapunov = routes.by_lyapunov and asymptotic.status is Status.PROVED
     whole = lyapunov and overall.status is Status.PROVED
     domain = "sampled loop, all x" if whole else "sampled loop"
     evidence = "; ".join(_evidence(routes))
     if spectral or lyapunov:
-        methods = ([_LYAPUNOV] if lyapunov else []) + ([_SPECTRAL] if spectral else [])
+        methods = ([_LYAPUNOV] if lyapunov else []) + ([by_spectrum] if spectral else [])
         return Claim(
             "sampled-stable", Status.PROVED, domain, " and ".join(methods), evidence, certificate=_certificate(routes)
         )
@@ -150,7 +154,7 @@ def verdict(routes: Routes, asymptotic: Claim, overall: Claim, change: GainChang
     status = Status.REFUTED if refuted else Status.UNDECIDED
     counterexample = {"spectral_radius": radius_text(routes.spectral.extreme)} if refuted else None
     return Claim(
-        "sampled-stable", status, domain, _SPECTRAL, evidence, _hint(routes, asymptotic, change), counterexample
+        "sampled-stable", status, domain, by_spectrum, evidence, _hint(routes, asymptotic, change), counterexample
     )
 
 
@@ -191,6 +195,8 @@ def _extent(routes: Routes) -> list[str]:
     if found.stable_to == found.start:
         least = f" above {float(found.start):.3g} s" if found.start else ""
         unstable = f": it is unstable at {at}" if at else ""
+        if found.exhausted and not at:
+            return ["other sample periods were not examined (--sampled-scan does it)"]
         return [f"no range of short periods{least} was proved for the linearised loop{unstable}"]
     since = f"from {float(found.start):.3g} s " if found.start else ""
     end = f", proved unstable at {at}" if at else ""
@@ -296,7 +302,10 @@ def _scanned(
     if covered >= end:
         return Scan(Fraction(0), covered, None, (), delay, True)
     start = h / 1000 if delay else covered
-    tries = max(1, min(_TRIES, _WORK // sum(loop.sizes[:2]) ** 3))
+    size = sum(loop.sizes[:2])
+    if size > _LARGEST_SCAN and not sampling.scan:
+        return Scan(start, start, None, (), delay, complete=False, exhausted=True)
+    tries = max(1, min(_TRIES, _WORK // size**3))
     found = scan(loop, end, delay=delay, start=start, tries=None if sampling.scan else tries)
     if found.exhausted and refused:
         found = scan(loop, h, delay=delay, start=start)  # a refusal names the largest period that is proved

@@ -16,6 +16,7 @@ from pbcgen.symbolic.real import approximate
 #: The method of `stable` when the premises of Prop. pro1, pro2 or pro4 are proved.
 LYAPUNOV = "Lyapunov function"
 _LINEARISATION = "linearisation: characteristic polynomial and Routh array in exact or ball arithmetic"
+_LINEARISATION_LARGE = "linearisation: Lyapunov matrix proposed in floating point, verified in ball arithmetic"
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,10 @@ def stability(situation: Situation, h: Fraction, sampling: Sampling | None = Non
     return StabilityVerdicts(claims, continuous.extreme, routes.spectral.extreme, routes.largest, routes.figures)
 
 
+def _method(verdict: Stability) -> str:
+    return _LINEARISATION if verdict.lyapunov is None else _LINEARISATION_LARGE
+
+
 def _certificate(verdict: Stability) -> dict[str, object]:
     return {"routh": [f"{approximate(v):.17g}" for v in verdict.routh]}
 
@@ -73,7 +78,8 @@ def _stable(continuous: Stability, by_lyapunov: bool, premises: Sequence[str], m
         return Claim("stable", Status.PROVED, "near x*", LYAPUNOV, "follows from " + ", ".join(premises))
     if continuous.status is Status.PROVED:
         evidence = f"spectral abscissa {continuous.extreme:.6g}; the Lyapunov route is {_why_not(missing)}"
-        return Claim("stable", Status.PROVED, "near x*", _LINEARISATION, evidence, certificate=_certificate(continuous))
+        method = _method(continuous)
+        return Claim("stable", Status.PROVED, "near x*", method, evidence, certificate=_certificate(continuous))
     if continuous.status is Status.REFUTED:
         return _unstable("stable", continuous, missing)
     return Claim(
@@ -101,7 +107,7 @@ def _asymptotic(continuous: Stability, by_lyapunov: bool, missing: Sequence[str]
             "asymptotically-stable",
             Status.PROVED,
             "near x*",
-            _LINEARISATION,
+            _method(continuous),
             f"spectral abscissa {continuous.extreme:.6g}; {route}",
             certificate=_certificate(continuous),
         )
@@ -126,7 +132,7 @@ def _unstable(claim: str, continuous: Stability, missing: Sequence[str]) -> Clai
         claim,
         Status.REFUTED,
         "near x*",
-        _LINEARISATION,
+        _method(continuous),
         f"the linearised closed loop has an eigenvalue with real part {continuous.extreme:.6g} > 0",
         f"satisfy {', '.join(missing)}; {where}" if missing else where,
         {"spectral_abscissa": f"{continuous.extreme:.9g}"},

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -50,6 +51,7 @@ class Mechanics:
         G: input matrix, n x m function of q.
         velocity: M^-1 p, n x 1.
         energy_gradient: the gradient of H = p^T M^-1 p / 2 + V in (q, p), 2n x 1, as it occurs in f.
+        factors: pairs (J_i, W_i) with ``M = sum J_i^T W_i J_i``, if M is known to be such a sum.
     """
 
     q: ca.SX
@@ -61,6 +63,7 @@ class Mechanics:
     G: ca.SX
     velocity: ca.SX
     energy_gradient: ca.SX
+    factors: tuple[tuple[ca.SX, ca.SX], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,12 +234,12 @@ class AffineSystem:
         """The number of inputs."""
         return int(self.u.numel())
 
-    @property
+    @cached_property
     def state_names(self) -> tuple[str, ...]:
         """The names of the states, in the order of x."""
         return names(self.x)
 
-    @property
+    @cached_property
     def input_names(self) -> tuple[str, ...]:
         """The names of the inputs, in the order of u."""
         return names(self.u)

@@ -34,6 +34,71 @@ def inverse(M: ca.SX) -> ca.SX:
     return ca.sparsify(solve(M, ca.SX.eye(M.shape[0])))
 
 
+#: A kinetic energy of more squares than this is not taken apart.
+_MOST_SQUARES = 200
+
+Factors = tuple[tuple[ca.SX, ca.SX], ...]
+
+
+def sum_of_factors(factors: Factors) -> ca.SX:
+    """``sum J_i^T W_i J_i`` for pairs (J_i, W_i), symmetric as written."""
+    size = factors[0][0].shape[1]
+    total = sum((ca.mtimes(J.T, ca.mtimes(W, J)) for J, W in factors), ca.SX(size, size))
+    return ca.sparsify(ca.tril2symm(ca.tril(total)))
+
+
+def squares(T: ca.SX, qdot: ca.SX) -> Factors | None:
+    """Pairs (J_k, W_k) of rows and numbers with ``T = sum W_k (J_k q')^2 / 2``, if T is written as such a sum.
+
+    Args:
+        T: kinetic energy, a sum of products of a coefficient and a square.
+        qdot: velocities; the coefficients and J_k do not depend on them.
+    """
+    found: list[tuple[ca.SX, ca.SX]] = []
+    waiting = [(T, ca.SX(2))]
+    while waiting:
+        term, weight = waiting.pop()
+        if term.is_zero():
+            continue
+        if not ca.depends_on(term, qdot) or len(found) >= _MOST_SQUARES:
+            return None
+        parts = [term.dep(k) for k in range(term.n_dep())]
+        moving = [ca.depends_on(part, qdot) for part in parts]
+        root = None
+        match term.op():
+            case ca.OP_ADD:
+                waiting += [(part, weight) for part in parts]
+                continue
+            case ca.OP_TWICE:
+                waiting.append((parts[0], 2 * weight))
+                continue
+            case ca.OP_MUL if moving == [True, False]:
+                waiting.append((parts[0], weight * parts[1]))
+                continue
+            case ca.OP_MUL if moving == [False, True]:
+                waiting.append((parts[1], weight * parts[0]))
+                continue
+            case ca.OP_DIV if moving == [True, False]:
+                waiting.append((parts[0], weight / parts[1]))
+                continue
+            case ca.OP_SQ:
+                root = parts[0]
+            case ca.OP_MUL if ca.is_equal(parts[0], parts[1], 1):
+                root = parts[0]
+        row = None if root is None else _linear(root, qdot)
+        if row is None:
+            return None
+        found.append((row, weight))
+    return tuple(reversed(found))
+
+
+def _linear(form: ca.SX, qdot: ca.SX) -> ca.SX | None:
+    """The row J with ``form = J q'``, or None."""
+    row = ca.jacobian(form, qdot)
+    at_rest = ca.substitute(form, qdot, ca.SX.zeros(qdot.numel()))
+    return None if ca.depends_on(row, qdot) or not at_rest.is_zero() else row
+
+
 def named_constants(M: ca.SX, label: str, parameters: Parameters) -> tuple[ca.SX, Parameters]:
     """M with its numbers as parameters, where its inverse would not be exact otherwise.
 

@@ -21,7 +21,7 @@ from pbcgen.models.expressions import (
     symbols,
     vanishes_at_samples,
 )
-from pbcgen.models.inertia import inverse, named_constants, solve
+from pbcgen.models.inertia import Factors, inverse, named_constants, solve, squares, sum_of_factors
 from pbcgen.models.parameters import Parameters
 
 if TYPE_CHECKING:
@@ -72,7 +72,8 @@ class Mechanical:
             p: momenta, n SX symbols.
             V: potential energy, scalar function of q.
             G: input matrix, n x m function of q, of full column rank.
-            M: inertia matrix, n x n function of q; a list of n entries is its diagonal.
+            M: inertia matrix, n x n function of q; a list of n entries is its diagonal; a list of pairs (J_i, W_i) is
+                ``sum J_i^T W_i J_i``, with J_i of n columns and W_i > 0 (or a number, for a multiple of I).
             M_inv: its inverse. One of the two is enough.
             D: damping, n x n diagonal function of (q, p), or the list of its diagonal; none if not given.
             parameters: the constants that occur.
@@ -91,10 +92,12 @@ class Mechanical:
         parameters = parameters if parameters is not None else Parameters()
         if q.numel() != p.numel():
             raise ModelError(f"there are {q.numel()} positions q and {p.numel()} momenta p: give one momentum for each")
+        factors = _factors(M, q.numel())
+        M = sum_of_factors(factors) if factors else M
         if M is not None and M_inv is None:
             given = ca.sparsify(square(M, q.numel(), "the inertia matrix M"))
             M, parameters = named_constants(given, "M", parameters)
-        parts = _mechanics(q, p, M=M, M_inv=M_inv, V=V, D=D, G=G, parameters=parameters)
+        parts = _mechanics(q, p, M=M, M_inv=M_inv, V=V, D=D, G=G, parameters=parameters, factors=factors)
         u = input_symbols(inputs, parts.G.shape[1])
         system = _affine(
             parts,
@@ -143,7 +146,9 @@ class Mechanical:
         q, qdot = symbols(q, "the positions q"), symbols(qdot, "the velocities qdot")
         if q.numel() != qdot.numel():
             raise ModelError(f"there are {q.numel()} positions q and {qdot.numel()} velocities qdot: give equally many")
-        M = _inertia_of(shaped(T, (1, 1), "the kinetic energy T"), qdot)
+        energy = shaped(T, (1, 1), "the kinetic energy T")
+        factors = squares(energy, qdot)
+        M = sum_of_factors(factors) if factors else _inertia_of(energy, qdot)
         chosen = tuple(momenta) if momenta is not None else tuple(f"p_{name}" for name in names(q))
         if len(chosen) != q.numel():
             raise ModelError(f"there are {len(chosen)} names of momenta: one for each of {q.numel()} positions, please")
@@ -151,7 +156,8 @@ class Mechanical:
         damping = None
         if D is not None:
             damping = ca.substitute(square(D, q.numel(), "the damping D"), qdot, solve(M, p))
-        return cls(q, p, V=V, G=G, M=M, D=damping, parameters=parameters, **keywords)
+        inertia = list(factors) if factors else M
+        return cls(q, p, V=V, G=G, M=inertia, D=damping, parameters=parameters, **keywords)
 
     def lower(self) -> AffineSystem:
         """The system as ``x' = f + g u`` with x = (q, p), S = H, and ``f = F grad H``."""
@@ -170,7 +176,37 @@ def input_symbols(inputs: Sequence[str] | None, m: int) -> ca.SX:
     return ca.vertcat(*[ca.SX.sym(name) for name in chosen])
 
 
-def _mechanics(q: ca.SX, p: ca.SX, *, M: Any, M_inv: Any, V: Any, D: Any, G: Any, parameters: Parameters) -> Mechanics:
+def _factors(M: Any, n: int) -> Factors:
+    """The pairs (J_i, W_i) of an inertia that is given by them, checked; none if it is not."""
+    if not isinstance(M, list | tuple) or not M:
+        return ()
+    if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in M):
+        return ()
+    if n == 2 and not any(isinstance(entry, list | tuple) or ca.SX(entry).numel() > 1 for pair in M for entry in pair):
+        return ()  # the two rows of a matrix
+    factors = []
+    for k, (J, W) in enumerate(M, start=1):
+        jacobian = expression(J, f"the factor J_{k} of M")
+        jacobian = shaped(jacobian, (jacobian.shape[0], n), f"the factor J_{k} of M")
+        weight = expression(W, f"the weight W_{k} of M")
+        size = jacobian.shape[0]
+        weight = weight * ca.SX.eye(size) if weight.is_scalar() else weight
+        factors.append((ca.sparsify(jacobian), ca.sparsify(shaped(weight, (size, size), f"the weight W_{k} of M"))))
+    return tuple(factors)
+
+
+def _mechanics(
+    q: ca.SX,
+    p: ca.SX,
+    *,
+    M: Any,
+    M_inv: Any,
+    V: Any,
+    D: Any,
+    G: Any,
+    parameters: Parameters,
+    factors: Factors,
+) -> Mechanics:
     """The parts, checked."""
     n = q.numel()
     potential = shaped(V, (1, 1), "the potential energy V")
@@ -191,7 +227,18 @@ def _mechanics(q: ca.SX, p: ca.SX, *, M: Any, M_inv: Any, V: Any, D: Any, G: Any
     _check_diagonal(damping)
     _check_inertia(inertia, inverse_inertia, q, parameters)
     velocity, gradient = energy_slope(q, p, potential, inertia if M is not None else None, inverse_inertia)
-    return Mechanics(q, p, inertia, inverse_inertia, potential, damping, actuation, velocity, gradient)
+    return Mechanics(
+        q,
+        p,
+        inertia,
+        inverse_inertia,
+        potential,
+        damping,
+        actuation,
+        velocity,
+        gradient,
+        factors if M is not None else (),
+    )
 
 
 def energy_slope(q: ca.SX, p: ca.SX, V: ca.SX, M: ca.SX | None, M_inv: ca.SX) -> tuple[ca.SX, ca.SX]:

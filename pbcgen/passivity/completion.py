@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pbcgen.models.design import Design
 from pbcgen.passivity.assignable import greedy_rows, residual_of
+from pbcgen.passivity.construction import drift_by_construction
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
 from pbcgen.symbolic.field import Quotient
@@ -41,9 +42,17 @@ class Equations:
         """``f + g u = 0`` and the conditions of the design's target."""
         system = plant.system
         conditions = design.target.conditions
-        residuals = ca.vertcat(system.xdot, *[residual_of(c) for c in conditions])
+        residuals = ca.vertcat(_at_rest(plant), *[residual_of(c) for c in conditions])
         labels = (*[f"d{n}/dt" for n in system.state_names], *[f"target {c.name}" for c in conditions])
         return Equations(plant, (*system.state_names, *system.input_names), residuals, labels)
+
+
+def _at_rest(plant: Plant) -> ca.SX:
+    """What is zero exactly where ``f + g u`` is: for a mechanical system p and ``G u - grad V``, without M^-1."""
+    system, mechanics = plant.system, plant.system.mechanical
+    if mechanics is None or not (plant.gradient_is_exact and drift_by_construction(system)):
+        return system.xdot
+    return ca.vertcat(mechanics.p, ca.mtimes(mechanics.G, system.u) - ca.gradient(mechanics.V, mechanics.q))
 
 
 def linear_consequences(equations: Equations) -> dict[str, Fraction]:

@@ -2,8 +2,8 @@
 
 The front end :class:`pbcgen.models.mechanical.Mechanical` writes ``f = F e`` with ``e`` the gradient of
 ``H = p^T v / 2 + V``, ``v = M^-1 p``, by formulas that are right for every symmetric M. Here the same formulas are
-written again from the parts, and the two must be the same instructions. That takes a time linear in the size of the
-formulas, where the expansion of M^-1 into rational functions may take hours.
+written again from the parts, and the two must be the same instructions, up to the order of factors and summands. That
+takes a time linear in the size of the formulas, where the expansion of M^-1 into rational functions may take hours.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pbcgen.models.affine import AffineSystem, Mechanics
 from pbcgen.models.mechanical import energy_slope
 from pbcgen.symbolic.field import evaluate
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, is_finite, precision, rational, reals, sign
-from pbcgen.symbolic.tape import Tape
+from pbcgen.symbolic.tape import Operation, Tape
 
 #: Places of states in their domains, without special meaning.
 WEIGHTS = (Fraction(3, 7), Fraction(5, 11), Fraction(2, 9), Fraction(7, 13), Fraction(4, 17))
@@ -33,7 +33,7 @@ def gradient_by_construction(system: AffineSystem) -> bool:
     for inertia in (mechanics.M, None):
         velocity, gradient = energy_slope(mechanics.q, mechanics.p, mechanics.V, inertia, mechanics.M_inv)
         written = ca.vertcat(system.S, mechanics.velocity, mechanics.energy_gradient)
-        if _same(system, written, ca.vertcat(storage, velocity, gradient)):
+        if same_formulas(system, written, ca.vertcat(storage, velocity, gradient)):
             given = mechanics.M_inv if inertia is None else inertia
             return _symmetric(system, given) and not _rounded(system, mechanics)
     return False
@@ -44,25 +44,38 @@ def drift_by_construction(system: AffineSystem) -> bool:
     mechanics, structure = system.mechanical, system.structure
     if mechanics is None or structure is None or structure.F is None:
         return False
-    return _same(system, system.f, ca.mtimes(structure.F, mechanics.energy_gradient))
+    return same_formulas(system, system.f, ca.mtimes(structure.F, mechanics.energy_gradient))
 
 
 def _tape(system: AffineSystem, *outputs: ca.SX) -> Tape:
     return Tape.of([system.x, system.u, ca.SX(system.parameters.symbols)], outputs)
 
 
-def _same(system: AffineSystem, left: ca.SX, right: ca.SX) -> bool:
-    """Whether two columns are computed by the same instructions."""
+def same_formulas(system: AffineSystem, left: ca.SX, right: ca.SX) -> bool:
+    """Whether two matrices are computed by the same instructions, up to the order of factors and summands."""
     if left.shape != right.shape:
         return False
-    a, b = _tape(system, left, right).outputs
-    return a.entries == b.entries
+    a, b = _numbered(_tape(system, left, right))
+    return a == b
+
+
+def _numbered(tape: Tape) -> list[dict[tuple[int, int], int]]:
+    """The entries of the outputs as numbers: equal ones are computed alike, up to the order of factors and summands."""
+    known: dict[object, int] = {}
+    number: list[int] = []
+    for instruction in tape.instructions:
+        key: object = instruction
+        if isinstance(instruction, Operation):
+            operands = [number[o] for o in instruction.operands]
+            key = instruction.name, *(sorted(operands) if instruction.name in ("add", "mul") else operands)
+        number.append(known.setdefault(key, len(known)))
+    return [{at: number[k] for at, k in output.entries.items()} for output in tape.outputs]
 
 
 def _symmetric(system: AffineSystem, matrix: ca.SX) -> bool:
     """Whether a matrix is symmetric: as written, or as exact functions."""
-    (positions,) = _tape(system, matrix).outputs
-    if all(positions.entries.get((j, i)) == k for (i, j), k in positions.entries.items()):
+    (numbers,) = _numbered(_tape(system, matrix))
+    if all(numbers.get((j, i)) == k for (i, j), k in numbers.items()):
         return True
     names = (*system.state_names, *system.input_names, *system.parameters.names)
     try:

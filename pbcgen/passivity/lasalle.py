@@ -9,7 +9,7 @@ odd monotone functions, and split when it is a sum of terms of one sign. All of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -21,6 +21,7 @@ from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.nonnegative import nonnegative, positive
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.field import Field, Quotient, evaluate
+from pbcgen.symbolic.linear import CONSTANT, Row
 from pbcgen.symbolic.tape import Tape
 
 #: Lie derivatives of an equation are followed up to this many times the number of states.
@@ -129,7 +130,7 @@ class _Elimination:
         parameters = plant.parameter_symbols
         tape = Tape.of([ca.vertcat(*self.symbols), parameters], [ca.vertcat(*expressions)])
         self.spent += len(tape.instructions)
-        if self.spent > _BUDGET or len(tape.instructions) > _LARGEST_TAPE:
+        if self.spent > _BUDGET or len(tape.instructions) > _LARGEST_TAPE * len(expressions):
             raise UnsupportedOperation("the equations of the invariant set grow too large")
         names = [*self.names, *plant.parameter_names]
         field_, (values,) = evaluate(tape, names, plant.values)
@@ -170,8 +171,7 @@ class _Elimination:
             for j in list(self.solved):
                 self.solved[j] = ca.substitute(self.solved[j], symbol, value)
             self.solved[k] = value
-            self.relations.append(symbol - value)
-            self.steps.append(f"{self.names[k]} = {_short(-rest)}")
+            self._record(k, -rest)
             return True
         expression = self.to_sx(factor)
         self.pending.append(expression)
@@ -189,26 +189,65 @@ class _Elimination:
         queue = [self.flow.base[k] for k in range(self.flow.base.numel())]
         for _ in range(_ROUNDS * self.states):
             self.pending.clear()
-            waiting = [e for e in queue if not self.use(e)]
+            waiting = [e for e in self._use_affine(queue) if not self.use(e)]
             waiting = self._linear_block(waiting)
-            fresh = [e for e in self._derivatives(waiting) if not self.vanishes(e)]
+            fresh = self.nonzero(self._derivatives(waiting))
             if not fresh:
-                self.pending = [e for e in (self.substitute(w) for w in waiting) if not self.vanishes(e)]
+                self.pending = self.nonzero(waiting)
                 return True
             queue = [*waiting, *fresh]
         return False
 
+    def _use_affine(self, queue: Sequence[ca.SX]) -> list[ca.SX]:
+        """Solve the equations that are affine with constant coefficients, all at once; what is left is returned."""
+        try:
+            field_, values = self.exact(*ca.vertsplit(self.substitute(ca.vertcat(*queue))))
+        except UnsupportedOperation:
+            return list(queue)
+        rows: dict[int, Row] = {}
+        left = []
+        for equation, value in zip(queue, values, strict=True):
+            row = _affine(value, len(self.symbols))
+            if row is None:
+                left.append(equation)
+                continue
+            row = _eliminated(row, rows)
+            unknown = [k for k in row if k != CONSTANT]
+            if not unknown:
+                left += [equation] if row else []
+                continue
+            k = min(int(str(key)) for key in unknown)
+            rest = {key: c / row[k] for key, c in row.items() if key != k}
+            self._record(k, _combination(field_, rest))
+            for other, before in rows.items():
+                rows[other] = _eliminated(before, {k: rest})
+            rows[k] = rest
+        if rows:
+            found = [self.to_sx(_combination(field_, row)) for row in rows.values()]
+            old, new = ca.vertcat(*[self.symbols[k] for k in rows]), ca.vertcat(*found)
+            self.solved = {j: ca.substitute(value, old, new) for j, value in self.solved.items()}
+            self.solved |= dict(zip(rows, found, strict=True))
+        return left
+
+    def _record(self, k: int, value: Quotient) -> None:
+        self.relations.append(self.symbols[k] - self.to_sx(value))
+        self.steps.append(f"{self.names[k]} = {_short(value)}")
+
     def _derivatives(self, waiting: Sequence[ca.SX]) -> list[ca.SX]:
-        state = self.flow.plant.system.x
-        return [
-            self.substitute(ca.mtimes(ca.jacobian(relation, state), self.flow.drift))
-            for relation in [*self.relations, *waiting]
-        ]
+        followed = ca.vertcat(*self.relations, *waiting)
+        return ca.vertsplit(ca.jtimes(followed, self.flow.plant.system.x, self.flow.drift)) if followed.numel() else []
 
     def vanishes(self, expression: ca.SX) -> bool:
         """Whether the expression is zero on the set, as far as it is known."""
-        _, (value,) = self.exact(self.substitute(expression))
-        return value.is_zero()
+        return not self.nonzero([expression])
+
+    def nonzero(self, expressions: Sequence[ca.SX]) -> list[ca.SX]:
+        """Those that are not known to be zero on the set, with solved variables replaced."""
+        if not expressions:
+            return []
+        on_set = ca.vertsplit(self.substitute(ca.vertcat(*expressions)))
+        _, values = self.exact(*on_set)
+        return [e for e, value in zip(on_set, values, strict=True) if not value.is_zero()]
 
     def _linear_block(self, waiting: list[ca.SX]) -> list[ca.SX]:
         """Equations ``A(q) z = 0`` in as many states z: they give z = 0 when det A never vanishes."""
@@ -273,8 +312,7 @@ def invariant_set(flow_: Flow, fixed: ca.SX | None = None, extra: ca.SX | None =
     work = _Elimination(Flow(plant, flow_.constant, drift, base), names, symbols)
     closed = work.run()
     n = plant.system.n
-    velocity = work.substitute(drift)
-    resting = closed and all(work.vanishes(velocity[k]) for k in range(n))
+    resting = closed and not work.nonzero(ca.vertsplit(drift))
     return InvariantSet(
         {k: v for k, v in work.solved.items() if k < n},
         tuple(k for k in range(n) if k not in work.solved),
@@ -353,6 +391,35 @@ def linear_in(element: Quotient, k: int) -> Quotient | None:
         return None
     polynomial: fmpq_mpoly = field_.context.from_dict(rest)
     return field_.polynomial(polynomial / coefficient)
+
+
+def _affine(value: Quotient, count: int) -> Row | None:
+    """The coefficients of a function that is affine in the first ``count`` symbols, or None."""
+    if not value.is_polynomial():
+        return None
+    row: Row = {}
+    for exponents, coefficient in value.numerator.to_dict().items():
+        used = [k for k, e in enumerate(exponents) if e]
+        if len(used) > 1 or (used and (exponents[used[0]] != 1 or used[0] >= count)):
+            return None
+        row[used[0] if used else CONSTANT] = coefficient
+    return row
+
+
+def _eliminated(row: Row, solved: Mapping[int, Row]) -> Row:
+    """The row with ``v_k = -solved[k]`` inserted."""
+    result = {key: c for key, c in row.items() if key not in solved}
+    for key, weight in row.items():
+        for other, c in solved.get(key, {}).items():  # type: ignore[call-overload]
+            result[other] = result.get(other, fmpq(0)) - weight * c
+    return {key: c for key, c in result.items() if c != 0}
+
+
+def _combination(field_: Field, row: Row) -> Quotient:
+    """``-row`` as a function."""
+    size = field_.symbol_count + field_.pool
+    terms = {tuple(int(k == key) for k in range(max(size, 1))): -c for key, c in row.items()}
+    return field_.polynomial(field_.context.from_dict(terms))
 
 
 def _determinant(matrix: ca.SX) -> ca.SX:

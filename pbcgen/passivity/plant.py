@@ -128,13 +128,15 @@ class Plant:
 
     def walk(self, tape: Tape, x: Sequence[Real], u: Sequence[Real]) -> list[list[list[Real]]]:
         """The outputs of a tape of (x, u, parameters) at the current precision."""
-        parameters = reals([self.values[name] for name in self.parameter_names])
+        values = self.values
+        parameters = reals([values[name] for name in self.parameter_names])
         return [matrix.dense(ZERO) for matrix in tape.walk(REAL, [list(x), list(u), parameters])]
 
     def numeric(self, *outputs: ca.SX) -> ca.Function:
         """A floating-point function (x, u) -> outputs at the parameter values."""
         x, u, parameters = self.symbols
-        values = ca.DM([float(self.values[name]) for name in self.parameter_names])
+        numbers = self.values
+        values = ca.DM([float(numbers[name]) for name in self.parameter_names])
         at_values = [ca.substitute(ca.SX(o), parameters, values) if values.numel() else ca.SX(o) for o in outputs]
         return ca.Function("numeric", [x, u], at_values)
 

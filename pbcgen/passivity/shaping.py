@@ -85,6 +85,16 @@ def inverse(matrix: RealMatrix) -> RealMatrix | None:
         return None
 
 
+def solve(matrix: RealMatrix, right: RealMatrix) -> RealMatrix | None:
+    """``matrix^-1 right``, exact or enclosed; None if the matrix may be singular."""
+    try:
+        if all(isinstance(entry, fmpq) for row in (*matrix, *right) for entry in row):
+            return [list(row) for row in fmpq_mat(matrix).solve(fmpq_mat(right)).tolist()]
+        return [list(row) for row in as_balls(matrix).solve(as_balls(right)).tolist()]
+    except ZeroDivisionError:
+        return None
+
+
 def shape_at(plant: Plant, point: Point, gamma: ca.SX, compensated: bool = False) -> Shape:
     """Evaluate kappa, gradient and Hessians at x*.
 
@@ -266,11 +276,11 @@ def _smallest_multiple(shape: Shape, stiffness: RealMatrix) -> float | None:
 
 
 def _kc_bound(shape: Shape, stiffness: RealMatrix, H: RealMatrix) -> RealMatrix | None:
-    inverted = inverse(H)
-    if inverted is None:
-        return None
     NA = multiply(shape.N, stiffness)
-    product = multiply(multiply(transpose(NA), inverted), NA)
+    solved = solve(H, NA)
+    if solved is None:
+        return None
+    product = multiply(transpose(NA), solved)
     return [[p - a for p, a in zip(x, y, strict=True)] for x, y in zip(product, stiffness, strict=True)]
 
 

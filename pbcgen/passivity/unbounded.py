@@ -17,6 +17,7 @@ import casadi as ca
 from flint import fmpq
 
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.passivity.inertia import missing_for_growth
 from pbcgen.passivity.lasalle import linear_in
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.claim import Status
@@ -92,7 +93,7 @@ def _quadratic(
     system = plant.system
     mechanics = system.mechanical
     if mechanics is not None:
-        reason = _kinetic(plant)
+        reason = missing_for_growth(plant)
         if reason:
             return Growth(False, reason)
         variables = list(range(system.n // 2))
@@ -115,19 +116,6 @@ def _quadratic(
         return Growth(False, "the quadratic part of S is not positive semidefinite")
     gammas = [[row[k] or fmpq(0) for k in variables] for row in rows]
     return _on_kernel(form, linear, gammas, alpha, [ZERO] * len(kappa) if compensated else kappa)
-
-
-def _kinetic(plant: Plant) -> str:
-    """Why ``p^T M^-1 p / 2 >= c |p|^2`` fails to be proved; empty when it is: M > 0 and bounded."""
-    mechanics = plant.system.mechanical
-    assert mechanics is not None
-    field, (inertia,) = plant.exact(mechanics.M)
-    entries = inertia.dense(field.const(0))
-    if not definite(entries):
-        return "M(q) > 0 was not proved on the whole space"
-    if any(term_bounds(entry, {}).hi is None for row in entries for entry in row):
-        return "M(q) is not bounded"
-    return ""
 
 
 def _split(value: Quotient, variables: Sequence[int], states: int) -> tuple[RealMatrix, list[fmpq], bool] | None:

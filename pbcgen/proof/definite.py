@@ -1,4 +1,4 @@
-"""Definiteness of symmetric matrices of exact numbers or balls, by LDL^T elimination.
+"""Definiteness of symmetric matrices of exact numbers or balls, by LDL^T elimination of sparse rows.
 
 The elimination needs no scaling: over the rationals it is exact, and over balls a pivot is accepted only when its
 sign is certain.
@@ -10,12 +10,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
+import numpy as np
 from flint import arb_mat, fmpq
 
 from pbcgen.proof.claim import Status
 from pbcgen.symbolic.real import ONE, ZERO, Real, approximate, ball, in_high_precision, midpoint, rational, sign
 
 RealMatrix = list[list[Real]]
+SparseRow = dict[int, Real]
+
+#: Eigenvalues of larger matrices are computed in double precision where that shows all of them.
+_LARGEST_PRECISE = 40
+_SHOWN_BY_DOUBLES = 1e-9
 
 
 @dataclass(frozen=True)
@@ -46,37 +52,45 @@ def quadratic_form(matrix: RealMatrix, vector: Sequence[Fraction]) -> Real:
     return total
 
 
-def _unit_lower(matrix: RealMatrix) -> tuple[list[Real], RealMatrix, int | None]:
-    """Pivots and multipliers of A = L D L^T, and the row at which the pivot is not certainly positive."""
-    size = len(matrix)
-    work = [list(row) for row in matrix]
-    multipliers: RealMatrix = [[ZERO] * size for _ in range(size)]
-    pivots: list[Real] = []
-    for k in range(size):
-        pivot = work[k][k]
-        pivots.append(pivot)
-        if sign(pivot) != 1:
-            return pivots, multipliers, k
-        for i in range(k + 1, size):
-            if isinstance(work[i][k], fmpq) and work[i][k] == 0:
-                continue
-            factor = work[i][k] / pivot
-            multipliers[i][k] = factor
-            for j in range(k + 1, i + 1):
-                work[i][j] = work[i][j] - factor * work[j][k]
-                work[j][i] = work[i][j]
-    return pivots, multipliers, None
+def _sparse(matrix: RealMatrix) -> dict[int, SparseRow]:
+    """The rows of the symmetric part without exact zeros."""
+    work: dict[int, SparseRow] = {i: {} for i in range(len(matrix))}
+    for i, row in enumerate(matrix):
+        for j in range(i + 1):
+            entry, mirrored = row[j], matrix[j][i]
+            if isinstance(entry, fmpq) and isinstance(mirrored, fmpq):
+                if entry != mirrored:
+                    entry = (entry + mirrored) / 2
+                if entry == 0:
+                    continue
+            work[i][j] = work[j][i] = entry
+    return work
 
 
-def _direction(multipliers: RealMatrix, stop: int) -> tuple[Fraction, ...]:
-    """The vector v with ``v^T A v`` equal to pivot number ``stop``: solves L^T v = e_stop, rounded to rationals."""
-    size = len(multipliers)
-    v = [ZERO] * size
+def _eliminate(work: dict[int, SparseRow], k: int) -> SparseRow:
+    """Remove row and column k of a symmetric matrix; the multipliers of the other rows are returned."""
+    row = work.pop(k)
+    pivot = row.pop(k)
+    factors = {i: work[i].pop(k) / pivot for i in row}
+    for i, factor in factors.items():
+        target = work[i]
+        for j, entry in row.items():
+            value = target.get(j, ZERO) - factor * entry
+            if isinstance(value, fmpq) and value == 0:
+                target.pop(j, None)
+            else:
+                target[j] = value
+    return factors
+
+
+def _direction(multipliers: list[tuple[int, SparseRow]], stop: int, size: int) -> tuple[Fraction, ...]:
+    """The vector v with ``v^T A v`` equal to the pivot of row ``stop``: solves L^T v = e_stop, rounded to rationals."""
+    v: list[Real] = [ZERO] * size
     v[stop] = ONE
-    for k in range(stop - 1, -1, -1):
+    for k, factors in reversed(multipliers):
         total: Real = ZERO
-        for i in range(k + 1, stop + 1):
-            total = total + multipliers[i][k] * v[i]
+        for i, factor in factors.items():
+            total = total + factor * v[i]
         v[k] = -total
     return tuple(midpoint(entry) for entry in v)
 
@@ -84,75 +98,76 @@ def _direction(multipliers: RealMatrix, stop: int) -> tuple[Fraction, ...]:
 @in_high_precision
 def positive_definite(matrix: RealMatrix) -> Definiteness:
     """Whether the symmetric matrix is positive definite. A singular one is REFUTED: semidefinite is not definite."""
-    pivots, multipliers, stop = _unit_lower(matrix)
-    if stop is None:
-        return Definiteness(Status.PROVED, tuple(pivots))
-    if sign(pivots[stop]) is None:
-        return Definiteness(Status.UNDECIDED, tuple(pivots))
-    witness = _direction(multipliers, stop)
-    value = quadratic_form(matrix, witness)
-    refuted = sign(value) in (0, -1)
-    return Definiteness(Status.REFUTED if refuted else Status.UNDECIDED, tuple(pivots), witness, value)
+    work = _sparse(matrix)
+    pivots: list[Real] = []
+    multipliers: list[tuple[int, SparseRow]] = []
+    while work:
+        k = min(work, key=lambda i: (len(work[i]), i))
+        pivot = work[k].get(k, ZERO)
+        pivots.append(pivot)
+        if sign(pivot) is None:
+            return Definiteness(Status.UNDECIDED, tuple(pivots))
+        if sign(pivot) != 1:
+            witness = _direction(multipliers, k, len(matrix))
+            value = quadratic_form(matrix, witness)
+            refuted = sign(value) in (0, -1)
+            return Definiteness(Status.REFUTED if refuted else Status.UNDECIDED, tuple(pivots), witness, value)
+        multipliers.append((k, _eliminate(work, k)))
+    return Definiteness(Status.PROVED, tuple(pivots))
 
 
 @in_high_precision
 def positive_semidefinite(matrix: RealMatrix) -> Definiteness:
     """Whether the symmetric matrix is positive semidefinite; touching zero counts when it is exact.
 
-    Pivots are taken from the diagonal, largest first; when all that are left are exactly zero, so must their rows be.
+    Pivots are taken from the diagonal, those of short rows first if exact, else the largest; when all that are left are
+    exactly zero, so must their rows be.
     """
-    size = len(matrix)
-    work = [list(row) for row in matrix]
-    order = list(range(size))
+    work = _sparse(matrix)
+    exact = all(isinstance(entry, fmpq) for row in matrix for entry in row)
     pivots: list[Real] = []
-    combination: RealMatrix = [[ONE if i == j else ZERO for j in range(size)] for i in range(size)]
+    multipliers: list[tuple[int, SparseRow]] = []
 
-    def verdict_against(vector: Sequence[Real]) -> Definiteness:
-        witness = tuple(midpoint(c) for c in vector)
+    def verdict_against(*directions: tuple[int, Fraction]) -> Definiteness:
+        witness = [Fraction(0)] * len(matrix)
+        for k, weight in directions:
+            v = _direction(multipliers, k, len(matrix))
+            witness = [a + weight * b for a, b in zip(witness, v, strict=True)]
         value = quadratic_form(matrix, witness)
         status = Status.REFUTED if sign(value) == -1 else Status.UNDECIDED
-        return Definiteness(status, tuple(pivots), witness, value)
+        return Definiteness(status, tuple(pivots), tuple(witness), value)
 
-    while order:
-        signs = {k: sign(work[k][k]) for k in order}
-        negative = next((k for k in order if signs[k] == -1), None)
+    while work:
+        signs = {k: sign(row.get(k, ZERO)) for k, row in work.items()}
+        negative = next((k for k in signs if signs[k] == -1), None)
         if negative is not None:
-            return verdict_against(combination[negative])
-        positive = [k for k in order if signs[k] == 1]
+            return verdict_against((negative, Fraction(1)))
+        positive = [k for k in signs if signs[k] == 1]
         if not positive:
-            return _all_pivots_vanish(matrix, work, order, pivots, combination)
-        k = max(positive, key=lambda i: approximate(work[i][i]))
-        pivot = work[k][k]
-        pivots.append(pivot)
-        order.remove(k)
-        for i in order:
-            if isinstance(work[i][k], fmpq) and work[i][k] == 0:
-                continue
-            factor = work[i][k] / pivot
-            combination[i] = [a - factor * b for a, b in zip(combination[i], combination[k], strict=True)]
-            for j in order:
-                work[i][j] = work[i][j] - factor * work[k][j]
-    return Definiteness(Status.PROVED, tuple(pivots))
-
-
-def _all_pivots_vanish(
-    matrix: RealMatrix, work: RealMatrix, order: list[int], pivots: list[Real], combination: RealMatrix
-) -> Definiteness:
-    """The last stage: no certainly positive diagonal is left."""
-    if any(sign(work[i][i]) is None for i in order):
-        return Definiteness(Status.UNDECIDED, tuple(pivots))
-    for i in order:
-        for j in order:
-            if i < j and sign(work[i][j]) in (1, -1):
-                s = fmpq(-1 if sign(work[i][j]) == 1 else 1)
-                vector = [a + s * b for a, b in zip(combination[i], combination[j], strict=True)]
-                witness = tuple(midpoint(c) for c in vector)
-                value = quadratic_form(matrix, witness)
-                status = Status.REFUTED if sign(value) == -1 else Status.UNDECIDED
-                return Definiteness(status, tuple(pivots), witness, value)
-            if sign(work[i][j]) is None:
+            against = _all_pivots_vanish(work)
+            if against is None:
                 return Definiteness(Status.UNDECIDED, tuple(pivots))
+            return verdict_against(*against) if against else Definiteness(Status.PROVED, tuple(pivots))
+        if exact:
+            k = min(positive, key=lambda i: (len(work[i]), i))
+        else:
+            k = max(positive, key=lambda i: approximate(work[i][i]))
+        pivots.append(work[k][k])
+        multipliers.append((k, _eliminate(work, k)))
     return Definiteness(Status.PROVED, tuple(pivots))
+
+
+def _all_pivots_vanish(work: dict[int, SparseRow]) -> list[tuple[int, Fraction]] | None:
+    """No positive diagonal is left: a combination of two rows that refutes, none if all is zero, None if uncertain."""
+    if any(sign(row.get(i, ZERO)) is None for i, row in work.items()):
+        return None
+    for i, row in work.items():
+        for j, entry in row.items():
+            if sign(entry) is None:
+                return None
+            if i < j and sign(entry) in (1, -1):
+                return [(i, Fraction(1)), (j, Fraction(-1 if sign(entry) == 1 else 1))]
+    return []
 
 
 @in_high_precision
@@ -162,6 +177,10 @@ def eigenvalues(matrix: RealMatrix) -> list[float]:
 
     if not matrix:
         return []
+    if len(matrix) > _LARGEST_PRECISE:
+        doubles = np.linalg.eigvalsh(np.array([[approximate(entry) for entry in row] for row in matrix]))
+        if np.all(np.isfinite(doubles)) and np.min(np.abs(doubles)) > _SHOWN_BY_DOUBLES * np.max(np.abs(doubles)):
+            return [float(v) for v in doubles]
     middle = acb_mat([[ball(rational(midpoint(entry))) for entry in row] for row in matrix])
     return sorted(float(midpoint(v.real)) for v in middle.eig(algorithm="approx"))
 

@@ -54,7 +54,7 @@ def _lasalle(d: Derivation) -> Iterator[Formula]:
     if situation is None or found is None or situation.flow is None:
         return
     system = d.plant.system
-    symbols_of_set = [system.x, situation.flow.constant, ca.SX(system.parameters.symbols)]
+    symbols_of_set = [system.x, situation.flow.constant, d.plant.parameter_symbols]
 
     def shown(expression: ca.SX) -> str:
         return latex(from_sx(ca.SX(expression), symbols_of_set)[0][0])

@@ -193,13 +193,17 @@ class Field:
 
     def _lower_degree(self, polynomial: fmpq_mpoly, generator: int, square: fmpq_mpoly) -> fmpq_mpoly:
         self.charge(_TERMS_PER_REDUCTION * len(polynomial))
-        by_power: dict[int, dict[tuple[int, ...], fmpq]] = {}
+        kept: dict[tuple[int, ...], fmpq] = {}
+        by_half: dict[int, dict[tuple[int, ...], fmpq]] = {}
         for exponents, coefficient in polynomial.to_dict().items():
-            power = int(exponents[generator])
-            rest = tuple(power % 2 if k == generator else e for k, e in enumerate(exponents))
-            by_power.setdefault(power // 2, {})[rest] = coefficient
-        total = self.context.constant(0)
-        for half, terms in by_power.items():
+            half, odd = divmod(int(exponents[generator]), 2)
+            if half:
+                rest = (*exponents[:generator], odd, *exponents[generator + 1 :])
+                by_half.setdefault(half, {})[rest] = coefficient
+            else:
+                kept[exponents] = coefficient
+        total = self.context.from_dict(kept)
+        for half, terms in by_half.items():
             total += self.context.from_dict(terms) * square**half
         return total
 

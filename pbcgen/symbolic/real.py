@@ -132,6 +132,8 @@ def approximate(value: Real) -> float:
         return float("nan")
     if isinstance(value, arb):
         return float(value.mid())
+    if value == 0:
+        return 0.0
     try:
         return float(fraction(value))
     except OverflowError:

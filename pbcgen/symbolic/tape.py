@@ -159,7 +159,7 @@ class Tape:
         Raises ModelError if an output depends on a symbol that is not among the inputs.
         """
         inputs = [ca.densify(ca.vec(symbol)) for symbol in inputs]
-        shared = [ca.sparsify(output) for output in _share(outputs)]
+        shared = [ca.sparsify(o) for o in _share([ca.sparsify(output) for output in outputs])]
         names = [f"i{k}" for k in range(len(inputs))]
         results = [f"o{k}" for k in range(len(shared))]
         function = ca.Function("tape", inputs, shared, names, results, {"allow_free": True})
