@@ -51,7 +51,7 @@ def build() -> nbformat.NotebookNode:
         cell = make(source)
         cell["id"] = f"cell-{number}"
         book.cells.append(cell)
-    NotebookClient(book, timeout=300, kernel_name="python3", record_timing=False).execute()
+    NotebookClient(book, timeout=300, kernel_name="python3", record_timing=False, coalesce_streams=True).execute()
     book.metadata = nbformat.from_dict(
         {
             "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
