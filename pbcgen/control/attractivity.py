@@ -362,6 +362,10 @@ def _only_rest(situation: Situation) -> str | None:
         return "the invariant set consists of equilibria (" + "; ".join(found.steps) + "), and the storage is convex"
     if len(found.inputs) == situation.plant.system.m and all(v.is_zero() for v in map(ca.SX, found.inputs.values())):
         zero = situation.compensation is not None or all(isinstance(u, fmpq) and u == 0 for u in situation.point.u)
+        if zero and _injective(situation, found):
+            return "the invariant set forces " + "; ".join(
+                [*found.steps, "gamma = gamma*, which has one solution there"]
+            )
         at_target = situation.at_target(situation.gamma) if zero else None
         if at_target is not None and not at_target.free and not at_target.pending:
             return "the invariant set forces " + "; ".join(
@@ -373,6 +377,27 @@ def _only_rest(situation: Situation) -> str | None:
             "the invariant set is parametrised by ubar (" + "; ".join(found.steps) + "), and (rest) is monotone in it"
         )
     return None
+
+
+def _injective(situation: Situation, found: InvariantSet) -> bool:
+    """Whether gamma is affine and one-to-one on the set with ubar = 0, so that gamma = gamma* leaves x* only."""
+    system, start = situation.plant.system, situation.flow
+    assert start is not None
+    along = situation.gamma
+    if found.solved:
+        old = ca.vertcat(*[system.x[k] for k in found.solved])
+        values = ca.substitute(ca.densify(ca.vertcat(*found.solved.values())), start.constant, ca.SX.zeros(system.m))
+        along = ca.substitute(along, old, values)
+    if not found.free:
+        return True
+    try:
+        field, (slope,) = situation.plant.exact(ca.jacobian(along, ca.vertcat(*[system.x[k] for k in found.free])))
+    except (UnsupportedOperation, ZeroDivisionError):
+        return False
+    rows = [[entry.constant() for entry in row] for row in slope.dense(field.const(0))]
+    if any(entry is None for row in rows for entry in row):
+        return False
+    return len(reduce_rows([dict(enumerate(row)) for row in rows])) == len(found.free)
 
 
 def _convex(situation: Situation) -> bool:

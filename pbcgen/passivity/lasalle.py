@@ -16,12 +16,13 @@ import casadi as ca
 from flint import fmpq, fmpq_mpoly
 
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.passivity.construction import drift_by_construction
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.nonnegative import nonnegative, positive
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.field import Field, Quotient, evaluate
-from pbcgen.symbolic.linear import CONSTANT, Row
+from pbcgen.symbolic.linear import CONSTANT, Row, reduce_rows
 from pbcgen.symbolic.tape import Tape
 
 #: Lie derivatives of an equation are followed up to this many times the number of states.
@@ -44,7 +45,7 @@ class Flow:
     Attributes:
         plant: the system.
         constant: the m symbols ubar.
-        drift: n x 1 expression of x, ubar and the parameters.
+        drift: n x 1 expression of x, ubar and the parameters, that x' equals on the set.
         base: equations that hold on the set from the start, a column.
     """
 
@@ -69,6 +70,10 @@ def flow(
     system = plant.system
     ubar = ca.SX.sym("ubar", system.m)
     u = ubar if compensation is None else compensation + ubar
+    mechanics = system.mechanical
+    if mechanics is not None and _velocity_vanishes(plant, structure, gamma):
+        force = ca.mtimes(mechanics.G, u) - ca.gradient(mechanics.V, mechanics.q)
+        return Flow(plant, ubar, ca.vertcat(ca.SX(mechanics.q.numel(), 1), force), ca.vertcat(mechanics.p, force))
     drift = system.f + ca.mtimes(system.g, u)
     psi = ca.jacobian(gamma, system.x).T
     v = plant.gradient - ca.mtimes(psi, u) if structure.form == "F" else drift
@@ -77,6 +82,30 @@ def flow(
     if still is not None:
         rest.append(ca.mtimes(ca.jacobian(still, system.x), drift))
     return Flow(plant, ubar, drift, ca.vertcat(*rest))
+
+
+def _velocity_vanishes(plant: Plant, structure: PowerStructure, gamma: ca.SX) -> bool:
+    """Whether q' = 0 on the set: ``D q' = 0`` and ``gamma' = (d gamma/dq) q' = 0`` have no other solution.
+
+    Then p = 0 too, because M > 0, and p' = G u - grad V vanishes with it: nothing needs to be known of M.
+    """
+    system, mechanics = plant.system, plant.system.mechanical
+    assert mechanics is not None
+    if not (structure.known and plant.gradient_is_exact and drift_by_construction(system)):
+        return False
+    if ca.depends_on(gamma, mechanics.p):
+        return False
+    try:
+        field_, (damping, slope) = plant.exact(ca.diag(mechanics.D), ca.jacobian(gamma, mechanics.q))
+    except (UnsupportedOperation, ZeroDivisionError):
+        return False
+    zero = field_.const(0)
+    rows: list[Row] = [{k: fmpq(1)} for k, entry in enumerate(damping.column(zero)) if positive(entry)]
+    for line in slope.dense(zero):
+        numbers = [entry.constant() for entry in line]
+        if all(number is not None for number in numbers):
+            rows.append(dict(enumerate(numbers)))
+    return len(reduce_rows(rows)) == mechanics.q.numel()
 
 
 @dataclass(frozen=True, eq=False)
