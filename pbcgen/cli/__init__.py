@@ -108,6 +108,8 @@ def _explanation(error: Exception) -> tuple[str, int]:
         return f"{error.format_message()}{_where_help_is(error)}", 1
     if isinstance(error, typer.Abort):
         return "stopped", 1
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        return f"`{error.filename}` cannot be read or written: {error.strerror}", 1
     return _defect(error), 1
 
 

@@ -121,14 +121,14 @@ def _designs(model: str, settings: options.Settings, wishes: Wishes) -> tuple[De
 
 def _law(path: Path) -> object:
     """The `law` of a file that `pbcgen tune` wrote."""
-    import runpy
+    from pbcgen.models.loader import variables
 
-    try:
-        return runpy.run_path(str(path))["law"]
-    except OSError as error:
-        raise ModelError(f"`{path}` cannot be read: {error.strerror}") from error
-    except KeyError:
-        raise ModelError(f"`{path}` has no `law`: give the file that `pbcgen tune -o FILE` wrote") from None
+    if not path.is_file():
+        raise ModelError(f"there is no file `{path}`")
+    found = variables(path)
+    if "law" not in found:
+        raise ModelError(f"`{path}` has no `law`: give the file that `pbcgen tune -o FILE` wrote")
+    return found["law"]
 
 
 def _package(report: Report, settings: options.Settings, wishes: Wishes, tell: Callable[[str], None]) -> Package | None:

@@ -34,7 +34,7 @@ def load(spec: str | os.PathLike[str]) -> Design:
         ModelError: if there is no such file, name or design, or the file itself fails; then with file and line.
     """
     path, wanted = _parse(os.fspath(spec))
-    return _choose(_execute(path), path, wanted)
+    return _choose(variables(path), path, wanted)
 
 
 def built_in_names() -> tuple[str, ...]:
@@ -63,8 +63,8 @@ def _parse(spec: str) -> tuple[Path, str | None]:
     return path, wanted or None
 
 
-def _execute(path: Path) -> dict[str, Any]:
-    """The variables of the file after it has run."""
+def variables(path: Path) -> dict[str, Any]:
+    """The variables of a user's file after it has run. Raises ModelError with file and line if it fails."""
     module = ModuleType(f"pbcgen_model_{path.stem}")
     module.__file__ = str(path.resolve())
     with _importing_from(path.resolve().parent, module), contextlib.redirect_stdout(sys.stderr):

@@ -179,3 +179,11 @@ def test_doctor_as_json(execute):
     assert code == 0
     assert document["pbcgen"] == pbcgen.__version__
     assert all(set(check) == {"name", "found", "detail", "needed_for", "required"} for check in document["checks"])
+
+
+def test_a_directory_that_cannot_be_made_is_no_defect(capsys, tmp_path):
+    (tmp_path / "file").write_text("")
+    assert cli.execute(["generate", "rlc", "-o", str(tmp_path / "file" / "out")]) == 1
+    printed = capsys.readouterr().err
+    assert "cannot be" in printed
+    assert "defect" not in printed

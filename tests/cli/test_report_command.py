@@ -37,7 +37,7 @@ def test_the_law_that_tune_wrote_is_compared_with_the_model_s_own(tmp_path, caps
     [
         (["-o", "page.pdf"], "does not end in .html"),
         (["-o", "nowhere/page.html"], "there is no directory `nowhere`"),
-        (["-o", "page.html", "--law", "missing.py"], "`missing.py` cannot be read"),
+        (["-o", "page.html", "--law", "missing.py"], "there is no file `missing.py`"),
         (["-o", "page.html", "--law", "empty.py"], "has no `law`"),
     ],
 )
@@ -47,3 +47,14 @@ def test_wrong_arguments_are_told_before_the_work(arguments, message, tmp_path, 
     assert execute(["report", "rlc", *arguments]) == 1
     assert message in capsys.readouterr().err
     assert not list(tmp_path.glob("*.html"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("law = = 3", "gains.py:1: invalid syntax"), ("law = 1 / 0", "ZeroDivisionError"), ("x = 1", "has no `law`")],
+)
+def test_a_file_of_gains_that_is_not_right_is_refused_with_its_line(capsys, tmp_path, text, message):
+    gains = tmp_path / "gains.py"
+    gains.write_text(text)
+    assert execute(["report", "rlc", "--law", str(gains), "-o", str(tmp_path / "page.html")]) == 1
+    assert message in capsys.readouterr().err
