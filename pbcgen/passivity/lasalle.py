@@ -22,7 +22,7 @@ from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.nonnegative import nonnegative, positive
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.field import Field, Quotient, evaluate
-from pbcgen.symbolic.linear import CONSTANT, Row, reduce_rows
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, reduce_rows
 from pbcgen.symbolic.tape import Tape
 
 #: Lie derivatives of an equation are followed up to this many times the number of states.
@@ -31,8 +31,12 @@ _ROUNDS = 3
 #: Equations beyond these sizes are given up: nonlinear ones grow with every Lie derivative.
 _LARGEST_TAPE = 1500
 _MOST_TERMS = 600
+#: Equations with more terms are not factored.
+_MOST_FACTORED = 100
 #: Instructions of all the expressions that one elimination may look at: some seconds of work.
 _BUDGET = 25_000
+
+Exponents = tuple[int, ...]
 
 #: Odd strictly increasing functions: they vanish only with their argument.
 _MONOTONE_KINDS = frozenset({"tanh", "atan", "asinh", "erf", "asin", "atanh"})
@@ -141,6 +145,7 @@ class _Elimination:
     relations: list[ca.SX] = field(default_factory=list)
     steps: list[str] = field(default_factory=list)
     spent: int = 0
+    resting: bool = False
 
     @property
     def states(self) -> int:
@@ -220,12 +225,45 @@ class _Elimination:
             self.pending.clear()
             waiting = [e for e in self._use_affine(queue) if not self.use(e)]
             waiting = self._linear_block(waiting)
+            if self._rests(waiting):
+                self._settle(waiting)
+                return True
             fresh = self.nonzero(self._derivatives(waiting))
             if not fresh:
                 self.pending = self.nonzero(waiting)
                 return True
             queue = [*waiting, *fresh]
         return False
+
+    def _rests(self, waiting: Sequence[ca.SX]) -> bool:
+        """Whether the velocities of the states that are left are combinations of functions that vanish on the set.
+
+        The states that are solved depend on them and on constants, so they rest too.
+        """
+        free = [k for k in range(self.states) if k not in self.solved]
+        velocities = [self.flow.drift[k] for k in free]
+        try:
+            _, values = self.exact(*ca.vertsplit(self.substitute(ca.vertcat(*waiting, *velocities))))
+        except UnsupportedOperation:
+            return False
+        if not all(value.is_polynomial() for value in values):
+            return all(value.is_zero() for value in values[len(waiting) :])
+        zeros = [value.numerator.to_dict() for value in values[: len(waiting)]]
+        return all(_is_combination(value.numerator.to_dict(), zeros) for value in values[len(waiting) :])
+
+    def _settle(self, waiting: Sequence[ca.SX]) -> None:
+        """Use that everything rests, as far as it goes: Lie derivatives say nothing more."""
+        self.resting = True
+        queue = [*waiting, *ca.vertsplit(self.flow.drift)]
+        try:
+            while queue:
+                before = len(self.solved)
+                queue = self.nonzero([e for e in self._use_affine(queue) if not self.use(e)])
+                if len(self.solved) == before:
+                    break
+        except UnsupportedOperation:
+            pass  # too large to be solved for more states; they stay free
+        self.pending = list(queue)
 
     def _use_affine(self, queue: Sequence[ca.SX]) -> list[ca.SX]:
         """Solve the equations that are affine with constant coefficients, all at once; what is left is returned."""
@@ -341,7 +379,7 @@ def invariant_set(flow_: Flow, fixed: ca.SX | None = None, extra: ca.SX | None =
     work = _Elimination(Flow(plant, flow_.constant, drift, base), names, symbols)
     closed = work.run()
     n = plant.system.n
-    resting = closed and not work.nonzero(ca.vertsplit(drift))
+    resting = work.resting or (closed and not work.nonzero(ca.vertsplit(drift)))
     return InvariantSet(
         {k: v for k, v in work.solved.items() if k < n},
         tuple(k for k in range(n) if k not in work.solved),
@@ -371,6 +409,8 @@ def _parts(value: Quotient) -> list[Quotient]:
 def _essential(value: Quotient) -> Quotient | None:
     """The factor that must vanish, or None when there is none or more than one to choose from."""
     field_ = value.field
+    if len(value.numerator) > _MOST_FACTORED:
+        return value
     _, factors = value.numerator.factor()
     candidates: list[Quotient] = []
     for factor, _ in factors:
@@ -449,6 +489,21 @@ def _combination(field_: Field, row: Row) -> Quotient:
     size = field_.symbol_count + field_.pool
     terms = {tuple(int(k == key) for k in range(max(size, 1))): -c for key, c in row.items()}
     return field_.polynomial(field_.context.from_dict(terms))
+
+
+def _is_combination(target: Mapping[Exponents, fmpq], zeros: Sequence[Mapping[Exponents, fmpq]]) -> bool:
+    """Whether a polynomial is a combination of others with rational coefficients."""
+    rows: dict[Exponents, Row] = {}
+    for key, coefficient in target.items():
+        rows.setdefault(key, {})[CONSTANT] = -coefficient
+    for k, zero in enumerate(zeros):
+        for key, coefficient in zero.items():
+            rows.setdefault(key, {})[k] = coefficient
+    try:
+        reduce_rows(rows.values())
+    except Inconsistent:
+        return False
+    return True
 
 
 def _determinant(matrix: ca.SX) -> ca.SX:

@@ -51,14 +51,18 @@ def design(name: str, changes: Changes = ()) -> Design:
 
 @lru_cache(maxsize=64)
 def _design(name: str, changes: Changes) -> Design:
-    source = examples.path(name).read_text(encoding="utf-8")
+    sources = {name: examples.path(name).read_text(encoding="utf-8")}
+    for other in examples.names():
+        if f"from pbcgen.examples.{other} import" in sources[name]:
+            sources[name] = sources[name].replace(f"from pbcgen.examples.{other} import", f"from {other} import")
+            sources[other] = examples.path(other).read_text(encoding="utf-8")
     for before, after in changes:
-        assert source.count(before) >= 1, before
-        source = source.replace(before, after)
+        assert any(before in source for source in sources.values()), before
+        sources = {file: source.replace(before, after) for file, source in sources.items()}
     with tempfile.TemporaryDirectory() as directory:
-        file = Path(directory) / f"{name}.py"
-        file.write_text(source, encoding="utf-8")
-        return load(str(file))
+        for file, source in sources.items():
+            (Path(directory) / f"{file}.py").write_text(source, encoding="utf-8")
+        return load(str(Path(directory) / f"{name}.py"))
 
 
 def derivation(name: str, changes: Changes = ()) -> Derivation:
