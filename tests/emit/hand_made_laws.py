@@ -7,9 +7,18 @@ from fractions import Fraction
 
 import casadi as ca
 
-from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, Signal, VectorSolve
+from pbcgen.control.law import (
+    ControlLaw,
+    Fallback,
+    Precision,
+    ScalarSolve,
+    Setter,
+    SetterInput,
+    Signal,
+    VectorSolve,
+)
 from pbcgen.control.solves import with_tanh
-from pbcgen.emit import Provenance
+from pbcgen.emit import Extras, Provenance
 from pbcgen.symbolic.tape import Tape
 
 PROVENANCE = Provenance(
@@ -141,3 +150,51 @@ def constant_channels(precision: Precision = "float") -> ControlLaw:
         fallback=Fallback.EQUILIBRIUM,
     )
     return with_tanh(law, "fast")
+
+
+EXTRAS = Extras(start=True, selftest=True)
+
+
+def adjustable(precision: Precision = "float") -> ControlLaw:
+    """A target through a logarithm, a gain that scales mu, an equilibrium input that moves."""
+    m, xi, t, given = ca.SX.sym("m", 1), ca.SX.sym("xi", 3), ca.SX.sym("t", 1), ca.SX.sym("r", 1)
+    x_c, star, alpha = ca.vertsplit(xi)
+    c = 2 * (m - star + x_c / 1.1)
+    N = ca.SX(1, 1)
+    N[0, 0] = 0.1 * alpha
+    states = (Signal("x_c"), Signal("x_star", "V", "at the target"), Signal("alpha", "", "gain"))
+    setters = (
+        Setter(
+            "target",
+            (SetterInput(Signal("i_D", "A"), (Fraction(1, 100), Fraction(3, 100)), Fraction(2, 100)),),
+            (1,),
+            Tape.of([given], [ca.log(1 + 1000 * given)]),
+        ),
+        Setter(
+            "gains",
+            (SetterInput(Signal("alpha"), (Fraction(1, 2), Fraction(2)), Fraction(1)),),
+            (2,),
+            Tape.of([given], [given]),
+        ),
+    )
+    return ControlLaw(
+        name="adjustable",
+        law="dynamic-extension",
+        precision=precision,
+        sample_period=Fraction(1, 1000),
+        inputs=(Signal("v", "V"),),
+        outputs=(Signal("u", "V", "drive"),),
+        states=states,
+        prepare=Tape.of([m, xi], [c, N]),
+        update=Tape.of([m, xi, t], [ca.vertcat((x_c - 0.01 * alpha * t) / 1.1, star, alpha), star - alpha * t]),
+        solves=(ScalarSolve(0, 3, 1e-9),),
+        intervals=((Fraction(0), Fraction(6)),),
+        equilibrium_output=(3.044522437723423,),
+        fallback=Fallback.EQUILIBRIUM,
+        tanh="fast" if precision == "float" else "libm",
+        kept=(3.044522437723423, 1.0),
+        equilibrium_states=(1,),
+        setters=setters,
+        rest=(3.044522437723423,),
+        start=Tape.of([m, xi], [ca.vertcat(1.1 * (star - m), star, alpha)]),
+    )

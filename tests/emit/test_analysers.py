@@ -22,6 +22,7 @@ MAKERS = {
     "constant_channels": laws.constant_channels,
     "block": lambda: laws.block("float"),
     "stateless": laws.stateless,
+    "adjustable": laws.adjustable,
 }
 
 DRIVER = """
@@ -65,7 +66,7 @@ int main(void)
 @pytest.fixture(scope="module", params=MAKERS)
 def package(request, tmp_path_factory):
     """(prefix, directory) of a written package with a driver that steps it with random bits."""
-    made = render(MAKERS[request.param](), laws.PROVENANCE)
+    made = render(MAKERS[request.param](), laws.PROVENANCE, extras=laws.EXTRAS)
     directory = tmp_path_factory.mktemp(request.param)
     made.write(directory)
     (directory / "driver.c").write_text(DRIVER.format(p=made.prefix))

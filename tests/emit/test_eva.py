@@ -31,6 +31,7 @@ PACKAGES = {
     "newton": lambda: laws.two_channels("double"),
     "fast_newton": lambda: with_tanh(laws.two_channels("float"), "fast"),
     "stateless": laws.stateless,
+    "adjustable": laws.adjustable,
 }
 
 
@@ -44,6 +45,14 @@ def driver(manifest: dict) -> str:
         checks += [f"    outside = ({u} < {low}) || ({u} > {high});", "    //@ assert outside == 0;"]
     real = manifest["precision"]
     low, high = manifest["outputs"][0]["emitted_bounds"]
+    more = ""
+    for group in manifest.get("settings", {}):
+        more += f"    {p}_{group}_t new_{group};\n    Frama_C_make_unknown((char *)&new_{group}, sizeof new_{group});\n"
+        more += f"    (void){p}_set_{group}(&state, &new_{group});\n"
+    if "bumpless_start" in manifest:
+        more += f"    (void){p}_start_at(&state, &input);\n"
+    if "selftest" in manifest:
+        more += f"    (void){p}_selftest();\n"
     return f"""
 #include "{p}.c"
 #include "__fc_builtin.h"
@@ -60,7 +69,7 @@ int main(void)
     Frama_C_make_unknown((char *)&state, sizeof state);
     Frama_C_make_unknown((char *)&input, sizeof input);
     Frama_C_make_unknown((char *)&x, sizeof x);
-    (void){p}_step(&state, &input, &output);
+{more}    (void){p}_step(&state, &input, &output);
 {chr(10).join(checks)}
     if (x != x)
     {{
@@ -85,7 +94,7 @@ def test_eva_raises_no_alarm_and_derives_the_interval(name, tmp_path):
     if isinstance(made, Path):
         files = {path.name: path.read_text() for path in made.iterdir() if path.is_file()}
     else:
-        files = render(made, laws.PROVENANCE).files
+        files = render(made, laws.PROVENANCE, extras=laws.EXTRAS).files
     for file in files:
         if file.endswith((".c", ".h")):
             (tmp_path / file).write_text(files[file])

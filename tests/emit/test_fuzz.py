@@ -40,6 +40,7 @@ PACKAGES = {
     "pera": None,
     "holding": lambda: laws.two_channels("double", Fallback.LAST_OUTPUT),
     "block": lambda: laws.block("float"),
+    "adjustable": laws.adjustable,
 }
 
 
@@ -49,7 +50,7 @@ def test_fuzzing_finds_nothing(name, tmp_path):
     if make is None:
         files = {path.name: path.read_text() for path in (GENERATED / name).iterdir() if path.is_file()}
     else:
-        files = render(make(), laws.PROVENANCE).files
+        files = render(make(), laws.PROVENANCE, extras=laws.EXTRAS).files
     manifest = json.loads(files["manifest.json"])
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -64,6 +65,8 @@ def test_fuzzing_finds_nothing(name, tmp_path):
             real=manifest["precision"],
             outputs=manifest["outputs"],
             states=manifest["states"],
+            settings=manifest.get("settings", {}),
+            bumpless="bumpless_start" in manifest,
         )
     )
     sanitizers = "-fsanitize=fuzzer,address,undefined,float-cast-overflow"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from pbcgen.emit import render
 if TYPE_CHECKING:
     from pathlib import Path
 
-LAWS = (laws.two_channels, laws.block, laws.mixed, laws.stateless)
+LAWS = (laws.two_channels, laws.block, laws.mixed, laws.stateless, laws.adjustable)
 
 
 @pytest.fixture(scope="module", params=["float", "double"])
@@ -24,7 +25,7 @@ def packages(request, tmp_path_factory) -> list[Path]:
     """Directories with one package each."""
     directories = []
     for make in LAWS:
-        package = render(make(request.param), laws.PROVENANCE)
+        package = render(make(request.param), laws.PROVENANCE, extras=laws.EXTRAS)
         directory = tmp_path_factory.mktemp(package.prefix)
         package.write(directory)
         directories.append(directory)
@@ -75,9 +76,11 @@ def test_only_the_api_is_exported_and_only_libm_is_needed(packages, tmp_path):
         out = tmp_path / "x.o"
         run([*compiler(), "-std=c99", "-O1", "-c", str(directory / f"{prefix}.c"), "-o", str(out)])
         symbols = [line.split()[-2:] for line in run(["nm", str(out)]).splitlines()]
-        assert {name for kind, name in symbols if kind == "T"} == {f"{prefix}_init", f"{prefix}_step"}
+        declared = set(re.findall(rf"\b({prefix}_\w+)\(", (directory / f"{prefix}.h").read_text()))
+        assert {name for kind, name in symbols if kind == "T"} == declared
+        assert {f"{prefix}_init", f"{prefix}_step", f"{prefix}_selftest"} <= declared
         assert not [name for kind, name in symbols if kind in "bBdDgGsSC"], "writable data"
-        assert {name.rstrip("f") for kind, name in symbols if kind == "U"} <= {"tanh", "cos", "sin"}
+        assert {name.rstrip("f") for kind, name in symbols if kind == "U"} <= {"tanh", "cos", "sin", "log"}
 
 
 def test_float_code_needs_no_double(tmp_path):
