@@ -8,6 +8,10 @@
  */
 #include PACKAGE
 
+#ifndef OUTSIDE
+#define OUTSIDE 1u /* only every so many floats where tanh(x) is x or 1 */
+#endif
+
 #include <stdint.h>
 #include <stdio.h>
 #include <string.h>
@@ -19,7 +23,7 @@ int main(void)
     double drop = 0.0;
     float previous = 0.0f;
 
-    for (uint32_t bits = 0u; bits <= 0x7f800000u; ++bits)
+    for (uint32_t bits = 0u; bits <= 0x7f800000u; bits += ((previous > 1e-5f) && (previous < 1.0f)) ? 1u : OUTSIDE)
     {
         float x;
         float t;

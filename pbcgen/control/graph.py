@@ -209,17 +209,17 @@ def _filter_psi(law: Integral, alpha: Sequence[Gain], beta: Sequence[Gain], devi
     m = len(law.alpha_psi)
     psi = ca.SX.sym("psi", m)
     a, b = column(alpha), column(beta)
-    drive = a * b * deviation / ca.cosh(b * psi)
     limit = column([Fraction(PSI_RANGE) / v if isinstance(v, Fraction) else PSI_RANGE / v for v in beta])
 
     def step(h: Fraction, _: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         E = exact_inverse(identity_plus(scaled(law.R_psi, h)))
-        moved = ca.mtimes(matrix(E), psi + float(h) * drive)
+        push = [times(E[i][i], h, alpha[i], beta[i]) for i in range(m)]  # R_psi is diagonal, and so is E
+        moved = ca.mtimes(matrix(E), psi) + column(push) * deviation / ca.cosh(b * psi)
         following = ca.fmax(-limit, ca.fmin(limit, moved))
         empty = ca.SX(0, 1)
         return ca.SX(0, 0), empty, following, -a * ca.tanh(b * following)
 
-    rate = -ca.mtimes(matrix(law.R_psi), psi) + drive
+    rate = -ca.mtimes(matrix(law.R_psi), psi) + a * b * deviation / ca.cosh(b * psi)
     return _Part(psi, _numbered("psi", m), rate, -a * ca.tanh(b * psi), step, lambda _: ca.SX(m, 1))
 
 

@@ -143,7 +143,7 @@ def constants_of(precision: Precision) -> Constants:
         half=real("0.5"),
         one=real("1"),
         largest=literal(np.finfo(DTYPES[precision]).max),
-        two=real("2"),
+        four=real("4"),
         third=real("1/3"),
         state_limit=literal(nearest(STATE_LIMIT[precision], precision)),
         square_limit=literal(nearest(STATE_LIMIT[precision] ** 2, precision)),

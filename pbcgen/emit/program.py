@@ -21,7 +21,7 @@ class Constants:
     zero: str
     half: str
     one: str
-    two: str
+    four: str
     third: str
     largest: str
     state_limit: str

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
 import numpy as np
 import pytest
 from flint import arb
@@ -51,6 +56,28 @@ def test_large_arguments_give_one_and_tiny_ones_themselves(precision, dtype):
     assert (evaluate(np.append(large, dtype(np.inf))) == 1).all()
     tiny = np.array([0, limits.smallest_subnormal, limits.tiny, 1e-20], dtype)
     np.testing.assert_array_equal(evaluate(tiny), tiny)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flags", [["-ffp-contract=off"], ["-ffp-contract=fast", "-mfma"]])
+def test_every_float_is_within_the_stated_bounds(flags, tmp_path):
+    root = Path(__file__).resolve().parents[2]
+    source = root / "benchmarks" / "hyperbolic_bound.c"
+    package = root / "generated" / "coupling_device"
+    names = [
+        "-DOUTSIDE=251u",
+        '-DPACKAGE="coupling_device.c"',
+        "-DTANH=coupling_device_tanh_of_magnitude",
+        f"-I{package}",
+    ]
+    command = ["cc", "-O2", *flags, *names, str(source), "-lm", "-o", str(tmp_path / "bound")]
+    if not shutil.which("cc") or subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("no C compiler for this processor")
+    found = subprocess.run([str(tmp_path / "bound")], capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stdout
+    ulps, absolute = re.search(r"every float: ([\d.]+) ulp, ([\d.e-]+) absolute", found.stdout).groups()
+    assert float(ulps) <= FAST_ULP["float"]
+    assert float(absolute) <= FAST_ERROR["float"]
 
 
 def test_float_is_fast_by_default_and_double_is_not():
