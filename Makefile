@@ -78,7 +78,7 @@ eva: env ## prove the absence of undefined behaviour in the C with Frama-C (apt:
 fuzz: env ## fuzz the step for 10 minutes (apt: clang); FUZZ_SECONDS=n for another time
 	FUZZ_SECONDS=$${FUZZ_SECONDS:-600} $(BIN)/python -m pytest tests/emit/test_fuzz.py -s -rs
 
-bench: env ## measure a step against other generators, into benchmarks/results/
+bench: env ## measure a step against other generators and a predictive controller, into benchmarks/results/
 	$(BIN)/python -m benchmarks.tool
 	$(BIN)/python -m benchmarks.step
 

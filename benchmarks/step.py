@@ -1,4 +1,4 @@
-"""What one control step costs: ours, CasADi's C, SymPy's C; on Cortex-M4F (emulated) and on x86-64 (callgrind).
+"""What one control step costs: ours, CasADi's C, SymPy's C, OSQP's; on Cortex-M4F (emulated) and x86-64 (callgrind).
 
 Run with ``make bench``. Everything that is compared is compiled with the same compiler and flags and steps through the
 same measurements. What is missing on this machine is left out, and the table says so.
@@ -154,8 +154,24 @@ def version(command: str) -> str:
     return subprocess.run([command, "--version"], capture_output=True, text=True, check=False).stdout.splitlines()[0]
 
 
+def predictive(rows: list[str]) -> tuple[list[str], list[str]]:
+    """The row of the predictive controller, and what must be known of it; a note alone where it cannot be made."""
+    try:
+        from benchmarks import mpc
+
+        solve = mpc.measure()
+    except ImportError:
+        return [], ["OSQP is not installed (pip install osqp): its row is left out"]
+    except (SystemExit, FileNotFoundError) as error:
+        return [], [f"OSQP's C was not built ({str(error).splitlines()[0]}): its row is left out"]
+    ours = next(row for row in rows if row.startswith("| coupling_device | pbcgen |"))
+    return [solve.row(float(ours.split("|")[3]))], solve.notes()
+
+
 def main() -> None:
     rows = [row for system in SYSTEMS for row in table(system)]
+    more, notes = predictive(rows)
+    rows += more
     lines = [
         "# One control step",
         "",
@@ -169,6 +185,7 @@ def main() -> None:
         "|---|---|---|---|---|---|---|---|---|",
         *rows,
         "",
+        *([*notes, ""] if notes else []),
         "pbcgen's own memory: no heap, no writable static data; the state is in the package's README.",
         "",
         f"- {version('arm-none-eabi-gcc')}, emulated by unicorn",
