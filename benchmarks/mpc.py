@@ -70,9 +70,9 @@ class Solve:
         return [
             f"OSQP {osqp.__version__}, generated C in float: horizon {HORIZON} of {PERIOD:g} s, |u| <= 5, {SOLVES} "
             "warm-started solves at random.",
-            f"It keeps {self.static} bytes of writable static data. It is given what pbcgen's controller does without: all",
-            "states of the plant and a linear model at the target. It plans ahead where a passivity-based law does not,",
-            "and it proves nothing about the nonlinear loop.",
+            f"It keeps {self.static} bytes of writable static data. It is given what pbcgen's controller does without:",
+            "all states of the plant and a linear model at the target. It plans ahead where a passivity-based law does",
+            "not, and it proves nothing about the nonlinear loop.",
         ]
 
 
