@@ -118,6 +118,16 @@ class Simulation:
     report: Report
 
 
+def for_all_parameters(report: Report) -> tuple[Claim, ...]:
+    """What holds for all positive values of the parameters, see :mod:`pbcgen.control.all_parameters`.
+
+    Raises ModelError for a model without parameters.
+    """
+    from pbcgen.control.all_parameters import for_all_parameters as decide
+
+    return decide(report.derivation)
+
+
 def check(design: Design, progress: Progress = None, sampling: Sampling | None = None) -> Report:
     """Derive and decide everything that can be said of the design. Raises ModelError for an inconsistent model."""
     start = perf_counter()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,6 +10,9 @@ from pbcgen.cli import options
 from pbcgen.cli.outcome import Outcome
 from pbcgen.cli.terminal import progress
 from pbcgen.errors import NotProved
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 def register(app: typer.Typer) -> None:
@@ -29,21 +32,31 @@ def register(app: typer.Typer) -> None:
             str | None,
             typer.Option(metavar="SHARE", help="The period varies by this share: 0.1.", show_default=False),
         ] = None,
+        for_all_parameters: Annotated[
+            bool,
+            typer.Option("--for-all-parameters", help="Say too what holds for all positive values of the parameters."),
+        ] = False,
         json: options.Json = False,
     ) -> Outcome:
         """Derive the controller, and say what is proved of it."""
-        return run(model, scan=sampled_scan, delay=delay, jitter=jitter, json=json)
+        return run(model, scan=sampled_scan, delay=delay, jitter=jitter, every=for_all_parameters, json=json)
 
 
 def run(
-    model: str, *, scan: bool = False, delay: str | None = None, jitter: str | None = None, json: bool = False
+    model: str,
+    *,
+    scan: bool = False,
+    delay: str | None = None,
+    jitter: str | None = None,
+    every: bool = False,
+    json: bool = False,
 ) -> Outcome:
     """Check a model. Exit code 2 when a claim that code depends on is not PROVED.
 
     Raises ModelError for a model that is not right.
     """
     from pbcgen import pipeline
-    from pbcgen.cli.verdicts import show_report
+    from pbcgen.cli.verdicts import show_for_all_parameters, show_report
     from pbcgen.control.sampled import Sampling
     from pbcgen.models.exact import exact
     from pbcgen.models.loader import load
@@ -51,8 +64,16 @@ def run(
     with progress("load") as tell:
         sampling = Sampling(exact(delay or 0, "--delay"), exact(jitter or 0, "--jitter"), scan)
         report = pipeline.check(load(model), progress=tell, sampling=sampling)
+        wide = pipeline.for_all_parameters(report) if every else None
+    more = {} if wide is None else {"for_all_parameters": [claim.as_json() for claim in wide]}
+
+    def show(console: Console) -> None:
+        show_report(console, report, model)
+        if wide is not None:
+            show_for_all_parameters(console, report, wide)
+
     return Outcome(
-        show=lambda console: show_report(console, report, model),
-        document=report.as_json() if json else None,
+        show=show,
+        document=report.as_json() | more if json else None,
         exit_code=0 if report.emittable else NotProved.exit_code,
     )

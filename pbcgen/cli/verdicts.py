@@ -77,23 +77,33 @@ def show_report(console: Console, report: Report, model: str) -> None:
         console.print(line, soft_wrap=True)
 
 
-def verdict_table(report: Report) -> Table:
+def show_for_all_parameters(console: Console, report: Report, claims: Sequence[Claim]) -> None:
+    """Print what was decided for all positive values of the parameters."""
+    console.print()
+    names = ", ".join(report.design.system.parameters.names)
+    console.print(f"for all positive {names}; gains and target as they are", style="bold")
+    console.print()
+    console.print(verdict_table(report, claims))
+    console.print("This asks more than the check at the values, and lets no code out.")
+
+
+def verdict_table(report: Report, claims: Sequence[Claim] | None = None) -> Table:
     """Rows of a verdict, the claims that have it with their domains, method and evidence, a hint, and the user's line.
 
     Claims that were decided alike share a row. A hint that several rows share is given once. What was not reached
-    stands at the end.
+    stands at the end. ``claims`` are those of the report if they are not given.
     """
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold", expand=False)
     table.add_column("verdict", no_wrap=True)
     table.add_column(f"{'claim':{_CLAIM_WIDTH}}  where it holds, and why")
     given: set[str] = {""}
-    for claims in _decided_alike(report.claims):
-        first = claims[0]
-        hints = dict.fromkeys(c.hint for c in claims if c.status is not Status.PROVED and c.hint not in given)
+    for alike in _decided_alike(report.claims if claims is None else claims):
+        first = alike[0]
+        hints = dict.fromkeys(c.hint for c in alike if c.status is not Status.PROVED and c.hint not in given)
         given.update(hints)
         own = any(not hint.startswith(ELSEWHERE) for hint in hints)
         place = deciding_line(first.claim, report.design.call, report.design.system.call) if own else None
-        table.add_row(Text(str(first.status), _STYLES[first.status]), _description(claims, hints, place))
+        table.add_row(Text(str(first.status), _STYLES[first.status]), _description(alike, hints, place))
     return table
 
 

@@ -96,6 +96,10 @@ class Plant:
             self._constants[value] = ca.SX.sym(_constant_name(value))
         return self._constants[value]
 
+    def symbolic(self, system: AffineSystem) -> SymbolicPlant:
+        """Another system, whose parameters stay symbols; the constants made by :meth:`number` are shared."""
+        return SymbolicPlant(system, self._constants)
+
     def expression(self, element: Quotient) -> ca.SX:
         """An exact function of this plant's symbols as an SX expression."""
         symbols = [s for column in self.symbols for s in ca.vertsplit(column) if column.numel()]
@@ -139,6 +143,15 @@ class Plant:
         values = ca.DM([float(numbers[name]) for name in self.parameter_names])
         at_values = [ca.substitute(ca.SX(o), parameters, values) if values.numel() else ca.SX(o) for o in outputs]
         return ca.Function("numeric", [x, u], at_values)
+
+
+class SymbolicPlant(Plant):
+    """A system whose parameters have no values: formulas are functions of them too. It has no numbers at a point."""
+
+    @property
+    def values(self) -> Mapping[str, Fraction]:
+        """The exact values of the constants made by :meth:`number`."""
+        return {_constant_name(value): value for value in self._constants}
 
 
 def _constant_name(value: Fraction) -> str:
