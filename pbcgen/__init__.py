@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pbcgen.models.loader import load
     from pbcgen.models.mechanical import Mechanical
     from pbcgen.models.parameters import Parameters
-    from pbcgen.pipeline import check, generate, simulate, validate
+    from pbcgen.pipeline import check, for_all_parameters, generate, simulate, validate
 
 __version__ = "0.1.0"
 
@@ -44,6 +44,7 @@ __all__ = [
     "Wish",
     "__version__",
     "check",
+    "for_all_parameters",
     "generate",
     "load",
     "simulate",
@@ -67,6 +68,7 @@ _HOMES = {
     "Wish": "pbcgen.control.tune",
     "tune": "pbcgen.control.tune",
     "check": "pbcgen.pipeline",
+    "for_all_parameters": "pbcgen.pipeline",
     "generate": "pbcgen.pipeline",
     "load": "pbcgen.models.loader",
     "simulate": "pbcgen.pipeline",
