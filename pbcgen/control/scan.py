@@ -1,10 +1,10 @@
 """Sample periods scanned with proof: where the linearised sampled loop is stable for every h, not at grid points only.
 
 The transition M(h) of the loop over one period is analytic in h. On a cell ``h = c + delta``, ``|delta| <= r``, in the
-coordinates of the eigenvectors of M(c) and after the first-order similarity ``I + delta X`` that follows them, M is
-``D + delta L`` (diagonal) plus a rest of second order in r. If the weighted row sums of ``|D + delta L| + rest`` stay
-below one, every M(h) of the cell is a contraction in one weighted maximum norm: that is the certificate of a cell,
-checked in ball arithmetic.
+coordinates of the eigenvectors of M(c) and after the similarity ``I + delta X + delta^2 Y`` that follows them, M is
+``D + delta L + delta^2 Q`` (diagonal) plus a rest of third order in r. If the weighted row sums of its moduli stay below
+one, every M(h) of the cell is a contraction in one weighted maximum norm: that is the certificate of a cell, checked in
+ball arithmetic.
 
 Cells that overlap from h = 0 on prove stability up to the end of the last one. There is no sampling in between, so
 windows of instability cannot be missed.
@@ -24,7 +24,13 @@ from pbcgen.proof.claim import Status
 from pbcgen.symbolic.real import ball, enclose, in_high_precision, precision, rational
 
 #: Bits of the balls of a scan; the decision at a single period uses more.
-SCAN_BITS = 224
+SCAN_BITS = 128
+#: Bits of the eigenvectors that serve as coordinates: any will do that nearly diagonalise.
+_EIGENVECTOR_BITS = 80
+
+#: How the width changes from cell to cell: soon after a failure, later, after a failure, and after several.
+_STEADY, _FAST, _BACK, _RETREAT = Fraction(11, 10), Fraction(3, 2), Fraction(7, 10), Fraction(1, 3)
+_CAUTION = 8
 
 #: A cell narrower than this, relative to its period, ends the scan.
 NARROWEST = 1e-7
@@ -102,50 +108,74 @@ def _first_cell(transition: Transition, continuous: acb_mat, end: arb) -> bool:
 
 
 def _cell(transition: Transition, centre: arb, r: arb, span: arb) -> bool:
-    """Whether the loop is stable for every h within r of the centre; ``span`` is that set of periods."""
+    """Whether the loop is stable for every h within r of the centre; ``span`` is that set of periods.
+
+    With ``M = N0 + delta N1 + delta^2 N2 + delta^3 N3`` in the eigenvectors of M(c), N3 over the whole cell, and
+    ``T = I + delta X + delta^2 Y``: ``M T - T (D + delta L + delta^2 Q)`` by powers of delta, D, L, Q diagonal.
+    """
     size = transition.size
     jet = transition.jet(centre)
     try:
-        _, V = midpoints(jet.c0).eig(right=True, algorithm="approx")
+        with precision(_EIGENVECTOR_BITS):
+            _, V = midpoints(jet.c0).eig(right=True, algorithm="approx")
         V = midpoints(V)
         inverse = V.inv()
-        curve = transition.jet(span).c2
+        last = transition.jet(span).c3
     except (ValueError, ZeroDivisionError):
         return False
-    N0, N1, N2 = inverse * jet.c0 * V, inverse * jet.c1 * V, inverse * curve * V
-    X = _following(N0, N1, float(r.mid()))
-    D = acb_mat(size, size, [N0[i, i] if i == j else 0 for i in range(size) for j in range(size)])
-    L = acb_mat(size, size, [N1[i, i] if i == j else 0 for i in range(size) for j in range(size)])
-    turned = _absolute(X) * r
-    straight = _absolute(N1 - L + D * X - X * D) * r + _absolute(N0 - D)
-    bent = (_absolute(N1 * X - X * L) + _absolute(N2) * (_real_identity(size) + turned)) * (r * r)
+    N0, N1, N2, N3 = (inverse * part * V for part in (jet.c0, jet.c1, jet.c2, last))
+    D, L = _diagonal(N0), _diagonal(N1)
+    reach = float(r.mid())
+    X = _following(N0, N1, reach)
+    second = N2 + N1 * X - X * L
+    Q = _diagonal(second)
+    Y = _following(N0, second, reach**2)
+    powers = [
+        N0 - D,
+        N1 + N0 * X - X * D - L,
+        second + N0 * Y - Y * D - Q,
+        N3 + N2 * X + N1 * Y - X * Q - Y * L,
+        N3 * X + N2 * Y - Y * Q,
+        N3 * Y,
+    ]
+    defect, power = arb_mat(size, size), arb(1)
+    for part in powers:
+        defect, power = defect + _absolute(part) * power, power * r
     try:
-        rest = _neumann(turned) * (straight + bent)
+        rest = _neumann(_absolute(X) * r + _absolute(Y) * (r * r)) * defect
     except ZeroDivisionError:
         return False
-    gaps = [_gap(N0[i, i], N1[i, i], r) for i in range(size)]
-    return _contracts(gaps, rest)
+    return _contracts([_gap(D[i, i], L[i, i], Q[i, i], r) for i in range(size)], rest)
 
 
-def _gap(value: acb, slope: acb, r: arb) -> arb:
-    """A lower bound of ``1 - |value + delta slope|``: the modulus is convex in delta, so its ends decide."""
-    ends = [(value + slope * r).abs_upper(), (value - slope * r).abs_upper()]
-    return arb((1 - max(ends)).lower())
+def _diagonal(matrix: acb_mat) -> acb_mat:
+    size = matrix.nrows()
+    return acb_mat(size, size, [matrix[i, i] if i == j else acb(0) for i in range(size) for j in range(size)])
 
 
-def _following(N0: acb_mat, N1: acb_mat, r: float) -> acb_mat:
-    """X with ``N1 + D X - X D`` diagonal, as far as the eigenvalues are apart: exact numbers, zero elsewhere."""
+def _gap(value: acb, slope: acb, curve: acb, r: arb) -> arb:
+    """A lower bound of ``1 - |value + delta slope + delta^2 curve|`` for ``|delta| <= r``, by the square's terms."""
+    square = abs(value) ** 2
+    tilt = 2 * (value.real * slope.real + value.imag * slope.imag)
+    bend = abs(slope) ** 2 + 2 * (value.real * curve.real + value.imag * curve.imag)
+    twist = 2 * (slope.real * curve.real + slope.imag * curve.imag)
+    most = square + abs(tilt) * r + bend.union(arb(0)) * r**2 + abs(twist) * r**3 + abs(curve) ** 2 * r**4
+    return arb((1 - most.abs_upper().sqrt()).lower())
+
+
+def _following(N0: acb_mat, N: acb_mat, reach: float) -> acb_mat:
+    """X with ``N + D X - X D`` diagonal where eigenvalues stay apart for ``|t| <= reach``: exact numbers, else zero."""
     size = N0.nrows()
     values = [N0[i, i].mid() for i in range(size)]
     turns = []
-    for i, j, slope in entries(N1):
+    for i, j, entry in entries(N):
         difference = values[j] - values[i]
         if i == j or not difference.abs_lower() > 0:
             turns.append(acb(0))
             continue
-        x = (slope.mid() / difference).mid()
-        turn = (x * (N1[j, i].mid() / difference)).abs_upper()
-        turns.append(x if float(turn.mid()) * r * r < 0.09 else acb(0))
+        x = (entry.mid() / difference).mid()
+        turn = (x * (N[j, i].mid() / difference)).abs_upper()
+        turns.append(x if float(turn.mid()) * reach**2 < 0.09 else acb(0))
     return acb_mat(size, size, turns)
 
 
@@ -178,6 +208,7 @@ class _March:
 
     def run(self) -> bool:
         """Go on to the end; False where the cells become too narrow or the tries run out."""
+        streak = 0  # cells since the last failure; below zero, failures since the last cell
         while self.at < self.end:
             if self.tries is not None:
                 if self.tries == 0:
@@ -186,10 +217,12 @@ class _March:
             width = min(self.width, self.end - self.at)
             upper = self.at + width
             if self._holds(self.at, upper):
+                streak = max(streak, 0) + 1
                 self.cells.append((self.at, upper))
-                self.at, self.width = upper, _short(width * 2)
+                self.at, self.width = upper, _short(width * (_STEADY if streak <= _CAUTION else _FAST))
             else:
-                self.width = _short(width / 3)
+                streak = min(streak, 0) - 1
+                self.width = _short(width * (_BACK if streak == -1 else _RETREAT))
                 if self.width < self.at * Fraction(NARROWEST):
                     return False
         return True

@@ -1,7 +1,7 @@
 """One sample period of the linearised loop as an analytic function of that period, enclosed.
 
 The loop over one period h is ``z+ = M(h) z`` with the plant under an exact zero-order hold, the controller stepped by
-backward Euler and, if wanted, its output delayed. A jet encloses M, M' and M''/2 on a whole cell of periods.
+backward Euler and, if wanted, its output delayed. A jet encloses its Taylor coefficients on a whole cell of periods.
 """
 
 from __future__ import annotations
@@ -54,36 +54,44 @@ class LinearLoop:
 
 @dataclass(frozen=True, eq=False)
 class Jet:
-    """Taylor coefficients of a matrix function of h: value, first derivative, half the second one."""
+    """Taylor coefficients of a matrix function of h: value, first derivative, halves and sixths of the next two."""
 
     c0: acb_mat
     c1: acb_mat
     c2: acb_mat
+    c3: acb_mat
+
+    @property
+    def coefficients(self) -> tuple[acb_mat, acb_mat, acb_mat, acb_mat]:
+        """The coefficients in their order."""
+        return self.c0, self.c1, self.c2, self.c3
 
     def __matmul__(self, other: Jet) -> Jet:
+        a, b = self.coefficients, other.coefficients
         return Jet(
-            self.c0 * other.c0,
-            self.c0 * other.c1 + self.c1 * other.c0,
-            self.c0 * other.c2 + self.c1 * other.c1 + self.c2 * other.c0,
+            a[0] * b[0],
+            a[0] * b[1] + a[1] * b[0],
+            a[0] * b[2] + a[1] * b[1] + a[2] * b[0],
+            a[0] * b[3] + a[1] * b[2] + a[2] * b[1] + a[3] * b[0],
         )
 
     def __add__(self, other: Jet) -> Jet:
-        return Jet(self.c0 + other.c0, self.c1 + other.c1, self.c2 + other.c2)
+        return Jet(*(a + b for a, b in zip(self.coefficients, other.coefficients, strict=True)))
 
     def __sub__(self, other: Jet) -> Jet:
-        return Jet(self.c0 - other.c0, self.c1 - other.c1, self.c2 - other.c2)
+        return Jet(*(a - b for a, b in zip(self.coefficients, other.coefficients, strict=True)))
 
     def times(self, right: acb_mat) -> Jet:
         """Multiply by a constant from the right."""
-        return Jet(self.c0 * right, self.c1 * right, self.c2 * right)
+        return Jet(*(a * right for a in self.coefficients))
 
     def after(self, left: acb_mat) -> Jet:
         """Multiply by a constant from the left."""
-        return Jet(left * self.c0, left * self.c1, left * self.c2)
+        return Jet(*(left * a for a in self.coefficients))
 
     def plus(self, constant: acb_mat) -> Jet:
         """Add a constant."""
-        return Jet(self.c0 + constant, self.c1, self.c2)
+        return Jet(self.c0 + constant, self.c1, self.c2, self.c3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,16 +271,20 @@ class Transition:
         return self.n + self.k + self.memory * self.m
 
     def jet(self, h: arb) -> Jet:
-        """M, M' and M''/2, enclosed for every period in the ball h."""
+        """M, M', M''/2 and M'''/6, enclosed for every period in the ball h."""
         own = h if self.steps is None else ball(rational(self.steps))
         E = self.filter.resolvent(own)
         r = self.filter.matrix
         zero = acb_mat(self.k, self.k, [0] * self.k**2)
         rE = r * E if self.k else zero
-        step = Jet(E, rE * E, rE * rE * E) if self.k else Jet(zero, zero, zero)
-        held = Jet(E * acb(own), E * E, rE * E * E) if self.k else step
-        if self.steps is not None and self.k:
-            step, held = Jet(E, zero, zero), Jet(E * acb(own), zero, zero)
+        if not self.k:
+            step = held = Jet(zero, zero, zero, zero)
+        elif self.steps is not None:
+            step, held = Jet(E, zero, zero, zero), Jet(E * acb(own), zero, zero, zero)
+        else:
+            EE, rErE = E * E, rE * rE
+            step = Jet(E, rE * E, rErE * E, rErE * rE * E)
+            held = Jet(E * acb(own), EE, rE * EE, rErE * EE)
         xi_x = held.times(self.drive)
         u_x, u_xi = xi_x.after(self.u_xi).plus(self.u_x), step.after(self.u_xi)
         e, first = self._hold(h, Fraction(1))
@@ -295,9 +307,11 @@ class Transition:
         e, g = self.plant.exponential(h * s)
         A = self.plant.matrix
         Ae = A * e
+        AAe = A * Ae
+        square, cube = acb(s * s / 2), acb(s * s * s / 6)
         return (
-            Jet(e, Ae * acb(s), A * Ae * acb(s * s / 2)),
-            Jet(g * self.B, e * self.B * acb(s), Ae * self.B * acb(s * s / 2)),
+            Jet(e, Ae * acb(s), AAe * square, A * AAe * cube),
+            Jet(g * self.B, e * self.B * acb(s), Ae * self.B * square, AAe * self.B * cube),
         )
 
     def _assemble(self, e: Jet, pushes: list[Jet], xi_x: Jet, xi_xi: Jet, u_x: Jet, u_xi: Jet) -> Jet:
@@ -307,7 +321,7 @@ class Transition:
         x_xi = pushes[0] @ u_xi if now else None
         acting = {int(self.whole) + j: push for j, push in enumerate(pushes)}
         coefficients = []
-        for c in ("c0", "c1", "c2"):
+        for c in ("c0", "c1", "c2", "c3"):
             M = acb_mat(self.size, self.size, [0] * self.size**2)
             _place(M, getattr(x_x, c), 0, 0)
             if x_xi is not None:
