@@ -2,7 +2,7 @@
 
 The transition M(h) of the loop over one period is analytic in h. On a cell ``h = c + delta``, ``|delta| <= r``, in the
 coordinates of the eigenvectors of M(c) and after the similarity ``I + delta X + delta^2 Y`` that follows them, M is
-``D + delta L + delta^2 Q`` (diagonal) plus a rest of third order in r. If the weighted row sums of its moduli stay below
+``D + delta L + delta^2 Q`` (diagonal) plus a rest of third order in r. If the weighted row sums of moduli stay below
 one, every M(h) of the cell is a contraction in one weighted maximum norm: that is the certificate of a cell, checked in
 ball arithmetic.
 
