@@ -24,7 +24,7 @@ from pbcgen.control.sampled import Sampling
 from pbcgen.control.solves import with_tanh
 from pbcgen.control.stability import LYAPUNOV
 from pbcgen.emit import Extras, Package, Provenance, render
-from pbcgen.errors import ModelError, NotProved
+from pbcgen.errors import EmitError, ModelError, NotProved
 from pbcgen.models.design import Design
 from pbcgen.models.identity import model_hash
 from pbcgen.models.source import located
@@ -52,6 +52,7 @@ class Report:
         loop: plant and continuous law for simulation, or None likewise.
         model_hash: SHA-256 of the canonical text of the design.
         timings: seconds of each stage.
+        unwritable: why the law cannot be computed in the precision of the code; empty if it can.
     """
 
     design: Design
@@ -62,6 +63,7 @@ class Report:
     model_hash: str
     timings: Mapping[str, float]
     derivation: Derivation
+    unwritable: str = ""
 
     def __repr__(self) -> str:
         proved = sum(c.status is Status.PROVED for c in self.claims)
@@ -136,15 +138,21 @@ def check(design: Design, progress: Progress = None, sampling: Sampling | None =
     except ModelError as error:
         raise located(error, design.call, design.system.call) from error.__cause__
     timings = {**derivation.timings, "total": perf_counter() - start}
+    control, unwritable = None, ""
+    try:
+        control = derivation.control_law(design.sample_period, design.precision)
+    except EmitError as error:
+        unwritable = str(error)
     return Report(
         design,
         derivation.claims,
         derivation.derived,
-        derivation.control_law(design.sample_period, design.precision),
+        control,
         derivation.loop,
         model_hash(design),
         {name: round(seconds, 6) for name, seconds in timings.items()},
         derivation,
+        unwritable,
     )
 
 
@@ -180,6 +188,8 @@ def package(
     ``figures`` are what a step of it costs on targets, ``extras`` functions on demand.
     """
     blocking = report.blocking(allow)
+    if report.unwritable:
+        raise EmitError(f"no code for `{report.design.name}`: {report.unwritable}")
     if blocking or report.control is None:
         raise NotProved(_refusal(report, blocking))
     allowed = tuple(sorted(c.claim for c in report.claims if c.claim in allow and c.status is not Status.PROVED))

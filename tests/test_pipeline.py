@@ -20,7 +20,8 @@ from pbcgen import (
     pipeline,
 )
 from pbcgen.control.law import VectorSolve
-from pbcgen.errors import NotProved
+from pbcgen.errors import EmitError, NotProved
+from pbcgen.models.loader import load
 from pbcgen.run.simulate import PythonStepper, simulate_continuous, simulate_sampled
 
 FULL_K = [[3, 1], [1, 2]]
@@ -273,3 +274,13 @@ def test_measured_expressions_are_enough_when_they_give_gamma():
     assert _status(report)["measurability"] == "PROVED"
     blind = AffineSystem([q, p, z], [u], f, [0, 1, 0], S, measured=[{"left": 2 * q + z}])
     assert _status(_check(blind, {"q": "0.4"}))["measurability"] != "PROVED"
+
+
+def test_gains_that_no_float_holds_leave_the_verdicts_and_say_why(tmp_path):
+    design = load("rlc").with_(law=DynamicExtension(alpha="0.0485", beta="1e45", K_c=10, R_c=10))
+    report = pipeline.check(design)
+    assert report.control is None
+    assert not report.emittable
+    assert "does not fit a float: choose double precision" in report.unwritable
+    with pytest.raises(EmitError, match="a product of h, alpha, beta and R"):
+        pipeline.generate(design, tmp_path)

@@ -184,6 +184,8 @@ def meaning(report: Report) -> str:
     if report.emittable:
         return "Proved: from nearby the loop settles at x*, sampled too, within its limits."
     blocking = report.blocking()
+    if report.unwritable:
+        return f"No code: {report.unwritable}."
     if not blocking:
         return "No code: the derivation stopped before it had a controller."
     refuted = [c for c in blocking if c.status is Status.REFUTED]

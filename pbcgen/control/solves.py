@@ -54,7 +54,8 @@ def choose_solves(
 
 def _scalar(index: int, mu: Fraction | None, precision: Precision, tanh: Tanh, largest: Fraction) -> ScalarSolve:
     if mu is not None and mu > 0 and precision == "float" and tanh == "fast":
-        rounded = Fraction(float(nearest(mu, precision, f"the coefficient N[{index}, {index}]")))
+        what = f"mu = N[{index}, {index}] of the loop equation (a product of h, alpha, beta and R)"
+        rounded = Fraction(float(nearest(mu, precision, what)))
         taylor = taylor_solve(rounded)
         if taylor is not None:
             return ScalarSolve(index, 0, taylor.error_bound, taylor)

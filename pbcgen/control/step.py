@@ -56,7 +56,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from pbcgen.control.hyperbolic import fast_cosh, fast_tanh
-from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, Taylor, VectorSolve
+from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, SetterInput, Taylor, VectorSolve
 from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
 from pbcgen.control.taylor import start_at, taylor_step
 
@@ -173,11 +173,12 @@ class ReferenceStep:
     def set(self, group: str, xi: Array, values: Array) -> tuple[Array, StepStatus]:
         """The state (nxi,) after the caller has set a target or gains, and the status, as ``<p>_set_<group>``."""
         setter = next(s for s in self.law.setters if s.group == group)
-        given = np.asarray(values, self.dtype)
-        for value, item in zip(given, setter.inputs, strict=True):
-            low, high = inward(item.range, self.law.precision, f"the range of `{item.signal.name}`")
-            if not low <= value <= high:
+        given = np.array(values, self.dtype)
+        for k, item in enumerate(setter.inputs):
+            accepted, proved = setting_bounds(item, self.law.precision)
+            if not accepted[0] <= given[k] <= accepted[1]:
                 return xi, StepStatus.INVALID_SETTING
+            given[k] = min(max(given[k], proved[0]), proved[1])
         with np.errstate(all="ignore"):
             (stored,) = self._walk(setter.compute, 1, given[None, :])
             if not _sum_of_squares(stored[:, :, 0])[0] <= self._limit:
@@ -219,6 +220,19 @@ def initial_state(law: ControlLaw) -> tuple[np.float32 | np.float64, ...]:
         nearest(Fraction(value), law.precision, f"the initial value of `{name}`")
         for name, value in zip(names, law.initial, strict=True)
     )
+
+
+Bounds = tuple[np.float32 | np.float64, np.float32 | np.float64]
+
+
+def setting_bounds(item: SetterInput, precision: Precision) -> tuple[Bounds, Bounds]:
+    """What a setter accepts, the nearest numbers to the bounds of the range, and what it computes with, inside it.
+
+    So the bounds can be written as in the model, and a bound that rounds outward is moved by a unit in the last place.
+    """
+    what = f"the range of `{item.signal.name}`"
+    low, high = (nearest(bound, precision, what) for bound in item.range)
+    return (low, high), inward(item.range, precision, what)
 
 
 def clamped(values: Array, low: Array, high: Array) -> Array:

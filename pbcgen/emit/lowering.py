@@ -20,7 +20,7 @@ from pbcgen.control.law import (
     VectorSolve,
 )
 from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
-from pbcgen.control.step import channels_to_check, check_solves, equilibrium_output, initial_state
+from pbcgen.control.step import channels_to_check, check_solves, equilibrium_output, initial_state, setting_bounds
 from pbcgen.emit.expressions import Graph, Node, Printer, Statement
 from pbcgen.emit.identifiers import Scope
 from pbcgen.emit.literals import literal
@@ -338,16 +338,23 @@ def _update_roots(law: ControlLaw, graph: Graph, members: _Members, t_names: Seq
 
 def _setter(law: ControlLaw, prefix: str, setter: Setter, members: _Members) -> SetterFunction:
     """The function that changes what the state stores."""
-    scope, macros = Scope(), Scope()
+    scope, macros = Scope(), Scope({member.macro for member in members.outputs})
     inputs = []
     for item in setter.inputs:
         name = scope.claim(item.signal.name)
-        low, high = inward(item.range, law.precision, f"the range of `{item.signal.name}`")
+        accepted, proved = setting_bounds(item, law.precision)
+        clamp = None if accepted == proved else (literal(proved[0]), literal(proved[1]))
+        low, high = accepted
         start = nearest(item.value, law.precision, f"the value of `{item.signal.name}`")
-        macro = macros.claim(name.strip("_").upper())
-        inputs.append(SettingMember(item.signal, name, macro, item.range, literal(low), literal(high), literal(start)))
+        macro = macros.claim(f"{setter.group}_{name.strip('_')}".upper())
+        inputs.append(
+            SettingMember(item.signal, name, macro, item.range, literal(low), literal(high), literal(start), clamp)
+        )
     graph = Graph()
-    arguments = [graph.name(f"{setter.group}->{member.c_name}") for member in inputs]
+    arguments = [
+        graph.name(f"given_{member.c_name}" if member.clamp else f"{setter.group}->{member.c_name}")
+        for member in inputs
+    ]
     (stored,) = setter.compute.walk(graph, [arguments])
     body, stores, helpers = _storing(law, prefix, graph, [members.states[k] for k in setter.states], stored)
     return SetterFunction(setter.group, tuple(inputs), body, stores, helpers)

@@ -163,7 +163,10 @@ class Body:
 
 @dataclass(frozen=True)
 class SettingMember:
-    """A number that the caller may set: its bounds as macros and literals."""
+    """A number that the caller may set: its bounds as macros and literals.
+
+    ``clamp`` are the bounds to clamp an accepted value to, where they are not those that are accepted.
+    """
 
     signal: Signal
     c_name: str
@@ -172,6 +175,7 @@ class SettingMember:
     low: str
     high: str
     start: str
+    clamp: tuple[str, str] | None
 
 
 @dataclass(frozen=True)

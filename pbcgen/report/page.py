@@ -210,6 +210,8 @@ def verdict(report: Report) -> str:
             "and every input stays within its limits."
         )
     blocking = report.blocking()
+    if report.unwritable:
+        return f"No code can be generated: {report.unwritable}."
     if not blocking:
         return "No code can be generated: the derivation stopped before it had a controller."
     return "No code is generated without your consent: " + "; ".join(f"{c.claim} is {c.status}" for c in blocking) + "."
