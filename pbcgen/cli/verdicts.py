@@ -180,7 +180,9 @@ def _figure(value: Any) -> str:
 def meaning(report: Report) -> str:
     """The verdicts in one sentence."""
     if report.emittable and "globally-asymptotically-stable" in _proved(report):
-        return "Proved: the loop settles at x* from everywhere, sampled from nearby, within its limits."
+        domain = next(c.domain for c in report.claims if c.claim == "sampled-stable")
+        sampled = "sampled too" if "all x" in domain else "sampled from nearby"
+        return f"Proved: the loop settles at x* from everywhere, {sampled}, within its limits."
     if report.emittable:
         return "Proved: from nearby the loop settles at x*, sampled too, within its limits."
     blocking = report.blocking()
