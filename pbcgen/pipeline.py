@@ -156,12 +156,14 @@ def check(design: Design, progress: Progress = None, sampling: Sampling | None =
     )
 
 
-def region(report: Report, seconds: float = 40.0) -> Region:
-    """The largest level set of the Lyapunov function that is certified to be attracted to x* within the time.
+def region(report: Report, boxes: int | None = None, progress: Progress = None) -> Region:
+    """The largest level set of the Lyapunov function that is certified to be attracted to x*.
+
+    ``boxes`` limits the search; the same budget gives the same region.
 
     Raises ModelError when the derivation stopped before there was a closed loop.
     """
-    from pbcgen.control.attraction import region_of_attraction
+    from pbcgen.control.attraction import BOXES, region_of_attraction
 
     situation = report.derivation.situation
     if situation is None:
@@ -171,7 +173,8 @@ def region(report: Report, seconds: float = 40.0) -> Region:
         situation,
         claims["stable"].method == LYAPUNOV,
         claims["globally-asymptotically-stable"].status is Status.PROVED,
-        seconds,
+        boxes or BOXES,
+        progress,
     )
 
 

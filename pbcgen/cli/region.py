@@ -23,14 +23,14 @@ def register(app: typer.Typer) -> None:
     @app.command("region")
     def command(
         model: options.Model,
-        seconds: Annotated[float, typer.Option(help="When to stop looking for a larger region.", min=1.0)] = 40.0,
+        boxes: Annotated[int, typer.Option(help="How many boxes of states to look at.", min=1)] = 20_000,
         json: options.Json = False,
     ) -> Outcome:
         """Certify a region of attraction: a level set of the Lyapunov function."""
-        return run(model, seconds=seconds, json=json)
+        return run(model, boxes=boxes, json=json)
 
 
-def run(model: str, *, seconds: float = 40.0, json: bool = False) -> Outcome:
+def run(model: str, *, boxes: int = 20_000, json: bool = False) -> Outcome:
     """Find a region for a model. Exit code 2 when none was certified.
 
     Raises ModelError for a model that is not right, or without a closed loop.
@@ -42,7 +42,7 @@ def run(model: str, *, seconds: float = 40.0, json: bool = False) -> Outcome:
     with progress("load") as tell:
         report = pipeline.check(load(model), progress=tell)
         tell("region of attraction")
-        found = pipeline.region(report, seconds)
+        found = pipeline.region(report, boxes, tell)
     document = {"design": report.design.name, "region_of_attraction": found.as_json()}
     return Outcome(
         show=lambda console: _show(console, str(report.design.name), found),

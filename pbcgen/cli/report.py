@@ -39,8 +39,9 @@ def register(app: typer.Typer) -> None:
             typer.Option("--law", metavar="FILE", help="The law that `pbcgen tune -o FILE` wrote."),
         ] = None,
         region: Annotated[
-            float, typer.Option("--region", metavar="SECONDS", help="Look for a region of attraction so long.", min=0)
-        ] = 0.0,
+            int,
+            typer.Option("--region", metavar="BOXES", help="Look for a region of attraction.", min=0),
+        ] = 0,
         target: Annotated[
             list[str] | None,
             typer.Option("--target", metavar="CPU", help="Measure a step there, as in generate.", show_default=False),
@@ -63,13 +64,13 @@ class Wishes:
     Attributes:
         before: an earlier design to compare with.
         law: a file with a law that takes the place of the model's; the model's own is then `before`.
-        region: seconds for a region of attraction; 0 for none.
+        region: boxes to look at for a region of attraction; 0 for none.
         targets: processors to measure a step on.
     """
 
     before: str | None = None
     law: Path | None = None
-    region: float = 0.0
+    region: int = 0
     targets: tuple[str, ...] = ()
 
 
@@ -93,7 +94,7 @@ def run(
         found = None
         if wishes.region and report.derivation.situation is not None:
             tell("region of attraction")
-            found = pipeline.region(report, wishes.region)
+            found = pipeline.region(report, wishes.region, tell)
         text = page(report, package, before=before, region=found, progress=tell)
         _write(output, text)
     size = len(text.encode())

@@ -2,13 +2,12 @@
 
 Minimised over the filter states the Lyapunov function is bounded below by
 
-    W(x) = S(x) + kappa^T gamma(x) + sum_i e_i(gamma_i(x) - gamma_i*),
+    W(x) = S(x) + kappa^T gamma(x) + e(gamma(x) - gamma*),
 
-where e_i is the Moreau envelope of the ln cosh term with the stiffness k of K_c (diagonal here): with z given by
-``z + (alpha/k) tanh(beta z) = s``, ``e(s) = (alpha/beta) ln cosh(beta z) + alpha^2 tanh(beta z)^2 / (2 k)``. Let X be
-a box around x* in the domain and c a level below W on the boundary of X. Then {x in X, V <= c} cannot be left, and
-LaSalle's argument applies inside: every trajectory converges to x* if no other equilibrium of the closed loop lies in
-{x in X, W <= c}. Both statements are decided by branch and bound in ball arithmetic.
+e the envelope of the ln cosh terms (:mod:`pbcgen.control.envelope`). Let X be a box around x* in the domain and c a
+level below W on the boundary of X. Then {x in X, V <= c} cannot be left, and LaSalle's argument applies inside: every
+trajectory converges to x* if no other equilibrium of the closed loop lies in {x in X, W <= c}. Both statements are
+decided by branch and bound in ball arithmetic, within a budget of boxes.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from time import perf_counter
 from typing import Any
 
 import casadi as ca
@@ -25,7 +23,8 @@ from flint import arb, arb_mat
 from numpy.typing import NDArray
 
 from pbcgen.control.attractivity import Situation
-from pbcgen.passivity.shaping import congruence, diagonal, inverse, shape_at
+from pbcgen.control.envelope import Envelope
+from pbcgen.passivity.shaping import add, congruence, inverse, multiply, shape_at, transpose
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, positive_semidefinite
 from pbcgen.symbolic.real import (
@@ -39,7 +38,6 @@ from pbcgen.symbolic.real import (
     midpoint,
     precision,
     rational,
-    sign,
     upper,
 )
 from pbcgen.symbolic.tape import Tape
@@ -48,6 +46,9 @@ Box = tuple[tuple[Fraction, Fraction], ...]
 
 #: Bits for branch and bound: the enclosures are wide anyway.
 _BITS = 64
+#: Boxes that may be looked at, and how many between two words on the progress.
+BOXES = 20_000
+_TELL = 500
 #: Growth of the box from one trial to the next.
 _RATIO = Fraction(3, 2)
 
@@ -88,76 +89,6 @@ class Region:
         }
 
 
-class _Envelope:
-    """The Moreau envelope e(s) of one channel, and the force alpha tanh(beta z(s))."""
-
-    def __init__(self, alpha: Fraction, beta: Fraction, stiffness: Fraction | None) -> None:
-        self.alpha, self.beta = rational(alpha), rational(beta)
-        self.slack = rational(0) if stiffness is None else rational(alpha / stiffness)
-        self._numbers = (float(alpha), float(beta), 0.0 if stiffness is None else float(alpha / stiffness))
-
-    def _root(self, s: float) -> float:
-        """z for s >= 0 in double precision."""
-        _, beta, slack = self._numbers
-        z = max(s / (1 + slack * beta), s - slack)
-        for _ in range(60):
-            t = np.tanh(beta * z)
-            step = (z + slack * t - s) / (1 + slack * beta * (1 - t * t))
-            z -= step
-            if abs(step) <= 1e-15 * (1 + abs(z)):
-                break
-        return float(max(z, 0.0))
-
-    def _below(self, s: Fraction) -> Fraction:
-        """A z with z + slack tanh(beta z) <= s, for s >= 0."""
-        z = Fraction(self._root(float(s)))
-        for margin in (1e-15, 1e-12, 1e-9, 1e-6):
-            candidate = max(z - Fraction(margin) * (1 + z), Fraction(0))
-            if upper(self._argument(candidate)) <= s:
-                return candidate
-        return Fraction(0)
-
-    def _above(self, s: Fraction) -> Fraction:
-        """A z with z + slack tanh(beta z) >= s, for s >= 0."""
-        z = Fraction(self._root(float(s)))
-        for margin in (1e-15, 1e-12, 1e-9, 1e-6):
-            candidate = z + Fraction(margin) * (1 + z)
-            if lower(self._argument(candidate)) >= s:
-                return candidate
-        return s
-
-    def _argument(self, z: Fraction) -> arb:
-        value = ball(rational(z))
-        return value + ball(self.slack) * (ball(self.beta) * value).tanh()
-
-    def least(self, s: Real) -> arb:
-        """A ball that is not above e on the enclosure s."""
-        distance = Fraction(0) if sign(s) is None or sign(s) == 0 else min(abs(lower(s)), abs(upper(s)))
-        z = ball(rational(self._below(distance)))
-        scaled = ball(self.beta) * z
-        t = scaled.tanh()
-        return (
-            ball(self.alpha) / ball(self.beta) * scaled.cosh().log() + ball(self.alpha) * ball(self.slack) * t * t / 2
-        )
-
-    def force(self, s: Real) -> arb:
-        """An enclosure of alpha tanh(beta z(s))."""
-        ends = []
-        for end, low in ((lower(s), True), (upper(s), False)):
-            find = self._below if (end >= 0) == low else self._above
-            z = find(abs(end)) * (1 if end >= 0 else -1)
-            ends.append(ball(self.alpha) * (ball(self.beta) * rational(z)).tanh())
-        return ends[0].union(ends[1])
-
-    def value(self, s: float) -> float:
-        """e(s) in double precision."""
-        alpha, beta, slack = self._numbers
-        z = beta * self._root(abs(s))
-        return float(
-            alpha / beta * (abs(z) + np.log1p(np.exp(-2 * abs(z))) - np.log(2)) + alpha * slack * np.tanh(z) ** 2 / 2
-        )
-
-
 class _Landscape:
     """W and the closed-loop rest equations over boxes of x."""
 
@@ -165,12 +96,7 @@ class _Landscape:
         self.situation = situation
         plant = situation.plant
         system = plant.system
-        alpha, beta, K_c = situation.gains
-        stiffness = None if K_c is None else [Fraction(K_c[i][i]) for i in range(len(K_c))]
-        self.envelopes = [
-            _Envelope(a, b, None if stiffness is None else stiffness[i])
-            for i, (a, b) in enumerate(zip(alpha, beta, strict=True))
-        ]
+        self.envelope = Envelope(*situation.gains)
         comp = situation.compensation
         mechanics = system.mechanical
         if comp is not None and mechanics is not None:
@@ -206,10 +132,11 @@ class _Landscape:
     def above(self, x: Sequence[Real]) -> Real:
         """A ball not above W(x) - V(x*) on the box."""
         energy, gamma = self.situation.plant.walk(self.tape, x, self.u)
-        total = ball(energy[0][0]) - ball(self.minimum)
-        for envelope, row, star in zip(self.envelopes, gamma, self.gamma_star, strict=True):
-            total = total + envelope.least(ball(row[0]) - ball(star))
-        return total
+        return ball(energy[0][0]) - ball(self.minimum) + self.envelope.least(self._deviation(gamma))
+
+    def _deviation(self, gamma: RealMatrix) -> list[Real]:
+        """gamma - gamma*."""
+        return [ball(row[0]) - ball(star) for row, star in zip(gamma, self.gamma_star, strict=True)]
 
     def exceeds(self, part: Box, level: Fraction, anchor: Sequence[Fraction]) -> bool:
         """Whether W - V(x*) > level on the whole box: by enclosure, by a supporting plane, or to second order."""
@@ -232,13 +159,11 @@ class _Landscape:
     def _plane(self, part: Box, at: Sequence[Fraction]) -> Fraction:
         """A lower bound of the tangent plane at a point over the box."""
         energy, gradient, slope, gamma = self.situation.plant.walk(self.first_tape, [rational(v) for v in at], self.u)
-        value = ball(energy[0][0]) - ball(self.minimum)
+        s = self._deviation(gamma)
+        value = ball(energy[0][0]) - ball(self.minimum) + self.envelope.least(s)
         g = [ball(row[0]) for row in gradient]
-        for i, (envelope, row, star) in enumerate(zip(self.envelopes, gamma, self.gamma_star, strict=True)):
-            s = ball(row[0]) - ball(star)
-            force = envelope.force(s)
-            value = value + envelope.least(s)
-            g = [a + force * ball(b) for a, b in zip(g, slope[i], strict=True)]
+        for force, row in zip(self.envelope.forces(s), slope, strict=True):
+            g = [a + force * ball(b) for a, b in zip(g, row, strict=True)]
         if not value.is_finite() or not all(a.is_finite() for a in g):
             return Fraction(-1)
         total = lower(value)
@@ -249,46 +174,24 @@ class _Landscape:
     def _hessian(self, x: Sequence[Real]) -> RealMatrix | None:
         """An enclosure of the Hessian of W over the box, for affine gamma."""
         second, slope, gamma = self.situation.plant.walk(self.second_tape, x, self.u)
-        stiff = self._stiffness(gamma)
+        stiff = self.envelope.stiffness(self._deviation(gamma))
         n = len(second)
+        added = congruence(transpose(slope), [list(row) for row in stiff])
         rows: RealMatrix = [
-            [
-                ball(second[max(i, j)][min(i, j)])
-                + sum((k * ball(row[i]) * ball(row[j]) for k, row in zip(stiff, slope, strict=True)), arb(0))
-                for j in range(n)
-            ]
-            for i in range(n)
+            [ball(second[max(i, j)][min(i, j)]) + ball(added[max(i, j)][min(i, j)]) for j in range(n)] for i in range(n)
         ]
         return rows if all(is_finite(v) for row in rows for v in row) else None
-
-    def _stiffness(self, gamma: RealMatrix) -> list[arb]:
-        """Enclosures of e_i'' = alpha beta sech^2 / (1 + (alpha beta / k) sech^2)."""
-        result = []
-        for envelope, row, star in zip(self.envelopes, gamma, self.gamma_star, strict=True):
-            t = envelope.force(ball(row[0]) - ball(star)) / ball(envelope.alpha)
-            sech = (1 - t * t).nonnegative_part()
-            ends = [ball(envelope.beta) * rational(v) for v in (max(lower(sech), Fraction(0)), upper(sech))]
-            values = [ball(envelope.alpha) * v / (1 + ball(envelope.slack) * v) for v in ends]
-            result.append(values[0].union(values[1]))
-        return result
 
     def height(self, x: Sequence[float]) -> float:
         """W(x) - V(x*) in double precision."""
         energy, gamma = self.numeric(x, [approximate(v) for v in self.u])
         deviations = np.array(gamma).ravel() - np.array([approximate(v) for v in self.gamma_star])
-        return (
-            float(energy)
-            - approximate(self.minimum)
-            + sum(e.value(float(s)) for e, s in zip(self.envelopes, deviations, strict=True))
-        )
+        return float(energy) - approximate(self.minimum) + self.envelope.value(deviations)
 
     def can_rest(self, x: Sequence[Real]) -> bool:
         """Whether an equilibrium of the closed loop in the box is not excluded."""
         drift, g, gamma = self.situation.plant.walk(self.rest_tape, x, self.u)
-        forces = [
-            envelope.force(ball(row[0]) - ball(star))
-            for envelope, row, star in zip(self.envelopes, gamma, self.gamma_star, strict=True)
-        ]
+        forces = self.envelope.forces(self._deviation(gamma))
         for i, row in enumerate(drift):
             total = ball(row[0])
             for j, force in enumerate(forces):
@@ -320,16 +223,9 @@ class _Landscape:
 
     def _slopes(self, x: Sequence[Real]) -> arb_mat | None:
         drift, slope, g, gamma = self.situation.plant.walk(self.slope_tape, x, self.u)
-        m = len(self.envelopes)
-        stiff = self._stiffness(gamma)
-        n = len(drift)
-        rows = [
-            [
-                ball(drift[i][j]) - sum((ball(g[i][k]) * stiff[k] * ball(slope[k][j]) for k in range(m)), arb(0))
-                for j in range(n)
-            ]
-            for i in range(n)
-        ]
+        stiff = self.envelope.stiffness(self._deviation(gamma))
+        pull = multiply(multiply(g, [list(row) for row in stiff]), slope)
+        rows = [[ball(a) - ball(b) for a, b in zip(p, q, strict=True)] for p, q in zip(drift, pull, strict=True)]
         if not all(entry.is_finite() for row in rows for entry in row):
             return None
         return arb_mat(rows)
@@ -343,44 +239,59 @@ class _Landscape:
         return np.array([[float(matrix[i, j].mid()) for j in range(n)] for i in range(n)])
 
 
-def region_of_attraction(situation: Situation, by_lyapunov: bool, everywhere: bool, seconds: float = 40.0) -> Region:
-    """The largest level set that is certified within the time budget.
+@dataclass
+class _Budget:
+    """Boxes that may still be looked at, and who is told of the progress."""
+
+    left: int
+    progress: Callable[[str], None] | None
+    used: int = 0
+
+    def spend(self) -> bool:
+        """Count a box; False when none is left."""
+        self.used += 1
+        self.left -= 1
+        if self.progress is not None and self.used % _TELL == 0:
+            self.progress(f"region of attraction, {self.used} boxes")
+        return self.left > 0
+
+
+def region_of_attraction(
+    situation: Situation,
+    by_lyapunov: bool,
+    everywhere: bool,
+    boxes: int = BOXES,
+    progress: Callable[[str], None] | None = None,
+) -> Region:
+    """The largest level set that is certified within a budget; the same for the same design and budget.
 
     Args:
         situation: the design at x*.
         by_lyapunov: whether `stable` is proved by the Lyapunov function.
         everywhere: whether `globally-asymptotically-stable` is proved.
-        seconds: when to stop enlarging the box.
+        boxes: how many may be looked at.
+        progress: called with a word on how far it is.
     """
     if everywhere:
         return Region(Status.PROVED, float("inf"), {}, "the whole space: x* is globally asymptotically stable")
     found = situation.invariant
     if not by_lyapunov or found is None or not found.resting:
         return _none("needs a Lyapunov function whose invariant set consists of equilibria")
-    if not _has_diagonal_stiffness(situation):
-        return _none("not available for a K_c that is not diagonal")
     with precision(_BITS):
-        return _grow(situation, _Landscape(situation), seconds)
+        return _grow(situation, _Landscape(situation), _Budget(boxes, progress))
 
 
 def _none(why: str) -> Region:
     return Region(Status.UNDECIDED, 0.0, {}, why)
 
 
-def _has_diagonal_stiffness(situation: Situation) -> bool:
-    _, _, K_c = situation.gains
-    return K_c is None or not any(v for i, row in enumerate(K_c) for j, v in enumerate(row) if i != j)
-
-
-def _grow(situation: Situation, landscape: _Landscape, seconds: float) -> Region:
-    start = perf_counter()
-    widths = _half_widths(situation)
+def _grow(situation: Situation, landscape: _Landscape, budget: _Budget) -> Region:
+    widths = _half_widths(situation, landscape)
     best = _none("no level set was certified: the Lyapunov function is too flat or the budget too small")
     scale = Fraction(1, 64)
-    while perf_counter() - start < seconds:
+    while budget.left > 0:
         box = _clipped(situation, widths, scale)
-        deadline = start + seconds
-        trial = _certify(situation, landscape, box, deadline)
+        trial = _certify(situation, landscape, box, budget)
         if trial is None and best.status is Status.PROVED:
             break
         if trial is not None:
@@ -393,18 +304,11 @@ def _grow(situation: Situation, landscape: _Landscape, seconds: float) -> Region
     return best
 
 
-def _half_widths(situation: Situation) -> list[Fraction]:
+def _half_widths(situation: Situation, landscape: _Landscape) -> list[Fraction]:
     """Half-widths of the box around the ellipsoid of the Hessian of W at x*."""
     shape = shape_at(situation.plant, situation.point, situation.gamma, situation.compensation is not None)
-    alpha, beta, K_c = situation.gains
-    series = []
-    for i, (a, b) in enumerate(zip(alpha, beta, strict=True)):
-        stiffness = a * b
-        series.append(rational(stiffness if K_c is None else 1 / (1 / stiffness + 1 / K_c[i][i])))
-    hessian: RealMatrix = [
-        [p + q for p, q in zip(x, y, strict=True)]
-        for x, y in zip(shape.H0, congruence(shape.N, diagonal(series)), strict=True)
-    ]
+    series: RealMatrix = [[rational(Fraction(float(v))) for v in row] for row in landscape.envelope.series_at_target()]
+    hessian = add(shape.H0, congruence(shape.N, series))
     with precision(BITS):
         inverted = inverse(hessian)
     if inverted is None:
@@ -422,7 +326,7 @@ def _clipped(situation: Situation, widths: Sequence[Fraction], scale: Fraction) 
     return tuple(box)
 
 
-def _certify(situation: Situation, landscape: _Landscape, box: Box, deadline: float) -> Region | None:
+def _certify(situation: Situation, landscape: _Landscape, box: Box, budget: _Budget) -> Region | None:
     """The level set below the boundary of the box, if it is proved to be attracted to x*."""
     faces = [(*box[:k], (end, end), *box[k + 1 :]) for k, bounds in enumerate(box) for end in bounds]
     lowest = [_lowest(landscape, face) for face in faces]
@@ -432,11 +336,11 @@ def _certify(situation: Situation, landscape: _Landscape, box: Box, deadline: fl
     level = Fraction(least) * Fraction(98, 100)
     count = 0
     for face, (_, anchor) in zip(faces, lowest, strict=True):
-        used = _prove_above(landscape, face, level, anchor, deadline)
+        used = _prove_above(landscape, face, level, anchor, budget)
         if used is None:
             return None
         count += used
-    inside = _prove_alone(situation, landscape, box, level, deadline)
+    inside = _prove_alone(situation, landscape, box, level, budget)
     if inside is None:
         return None
     names = situation.plant.system.state_names
@@ -474,17 +378,17 @@ def _widths(box: Box) -> list[Fraction]:
 
 
 def _prove_above(
-    landscape: _Landscape, face: Box, level: Fraction, anchor: Sequence[Fraction], deadline: float
+    landscape: _Landscape, face: Box, level: Fraction, anchor: Sequence[Fraction], budget: _Budget
 ) -> int | None:
     """The number of boxes that show W > level on the face, or None."""
     waiting, count, widths = [face], 0, _widths(face)
     while waiting:
         part = waiting.pop()
         count += 1
+        if not budget.spend():
+            return None
         if landscape.exceeds(part, level, anchor):
             continue
-        if perf_counter() > deadline or count > 200_000:
-            return None
         waiting.extend(_split(part, widths))
     return count
 
@@ -500,7 +404,7 @@ def _least_curvature(hessian: RealMatrix, radii: Sequence[Fraction]) -> Fraction
     return total
 
 
-def _prove_alone(situation: Situation, landscape: _Landscape, box: Box, level: Fraction, deadline: float) -> int | None:
+def _prove_alone(situation: Situation, landscape: _Landscape, box: Box, level: Fraction, budget: _Budget) -> int | None:
     """The number of boxes that show x* to be the only equilibrium with W <= level in the box, or None."""
     centre = landscape.centre_slope()
     if centre is None:
@@ -514,13 +418,13 @@ def _prove_alone(situation: Situation, landscape: _Landscape, box: Box, level: F
     while waiting:
         part = waiting.pop()
         count += 1
+        if not budget.spend():
+            return None
         if all(c[0] <= p[0] and p[1] <= c[1] for p, c in zip(part, core, strict=True)):
             continue
         x = [enclose(lo, hi) for lo, hi in part]
         if not landscape.can_rest(x) or landscape.exceeds(part, level, [(lo + hi) / 2 for lo, hi in part]):
             continue
-        if perf_counter() > deadline or count > 200_000:
-            return None
         waiting.extend(_split(part, widths))
     return count
 

@@ -68,8 +68,8 @@ _ROUNDS = 3
 #: Candidates that are rounded and compared over the whole run before the first is proved.
 _SHORTLIST = 10
 
-#: Time for the search of a level set that is attracted to the target, seconds.
-_REGION_SECONDS = 5.0
+#: Boxes for the search of a level set that is attracted to the target.
+_REGION_BOXES = 5000
 
 #: Weight of a slow tail against the settling time: a mode ten times slower costs as much as settling 1.8 times later.
 _TAIL = 0.25
@@ -742,7 +742,7 @@ def _region(derived: Derivation, route: Route) -> tuple[Region | None, str]:
     if derived.situation is not None:
         everywhere = claims["globally-asymptotically-stable"].status is Status.PROVED
         by_storage = claims["stable"].method == LYAPUNOV
-        found = region_of_attraction(derived.situation, by_storage, everywhere, _REGION_SECONDS)
+        found = region_of_attraction(derived.situation, by_storage, everywhere, _REGION_BOXES)
         if found.status is Status.PROVED:
             return None, f"region of attraction: {found.evidence}"
     if route == "linearisation":

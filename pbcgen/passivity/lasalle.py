@@ -77,7 +77,7 @@ def flow(
     mechanics = system.mechanical
     if mechanics is not None and _velocity_vanishes(plant, structure, gamma):
         force = ca.mtimes(mechanics.G, u) - ca.gradient(mechanics.V, mechanics.q)
-        return Flow(plant, ubar, ca.vertcat(ca.SX(mechanics.q.numel(), 1), force), ca.vertcat(mechanics.p, force))
+        return Flow(plant, ubar, ca.SX(system.n, 1), ca.vertcat(mechanics.p, force))
     drift = system.f + ca.mtimes(system.g, u)
     psi = ca.jacobian(gamma, system.x).T
     v = plant.gradient - ca.mtimes(psi, u) if structure.form == "F" else drift

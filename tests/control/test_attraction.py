@@ -20,7 +20,7 @@ def _pendulum(law, **options):
 @pytest.fixture(scope="module")
 def pendulum():
     report = check(_pendulum(DynamicExtension(2, 3, 5, 1)))
-    return report, region(report, 6)
+    return report, region(report, 5000)
 
 
 def test_the_level_is_above_the_minimum_and_below_the_saddle(pendulum):
@@ -50,7 +50,7 @@ def test_trajectories_from_the_region_settle_at_the_target(pendulum):
 
 def test_the_region_stays_inside_the_domain():
     report = check(_pendulum(DynamicExtension(2, 3, 5, 1), domain={"q": (-1, 1)}))
-    found = region(report, 3)
+    found = region(report, 2500)
     assert found.status == "PROVED"
     assert found.box["q"][0] >= -1
     assert found.box["q"][1] <= 1
@@ -63,6 +63,42 @@ def test_a_globally_stable_design_has_the_whole_space():
 
 
 def test_without_a_lyapunov_function_there_is_no_region():
-    found = region(check(load("coupling_device")), 1)
+    found = region(check(load("coupling_device")), 1000)
     assert found.status == "UNDECIDED"
     assert not found.contains([0, 0.025, 0.025, 0, 0])
+
+
+def _coupled(K_c, boxes, told=None):
+    """Two pendulums with an actuator each, and filters that share their springs."""
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    V = 3 * (1 - ca.cos(q[0])) + 2 * (1 - ca.cos(q[1]))
+    system = Mechanical(q, p, M=[[2, 0], [0, 1]], V=V, D=[1, 1], G=ca.SX.eye(2))
+    law = DynamicExtension([2, 1], 3, K_c, [[1, "0.1"], ["0.1", 1]])
+    report = check(Design(system, {"q_0": 0, "q_1": 0}, law, sample_period="1e-3"))
+    return region(report, boxes, told)
+
+
+def test_filters_may_be_coupled():
+    found = _coupled([[5, 1], [1, 4]], 600)
+    assert found.status == "PROVED"
+    assert found.level > 0.05
+    assert found.contains([0.05, -0.05, 0, 0])
+
+
+def test_coupling_of_filters_makes_the_region_no_larger_than_stiffer_ones():
+    """K_c = diag(6, 5) is above the coupled matrix in the Loewner order, so its storage is the higher one."""
+    coupled, stiff = _coupled([[5, 1], [1, 4]], 120), _coupled([[6, 0], [0, 5]], 120)
+    x = [0.2, -0.1, 0.05, 0.05]
+    assert coupled.height(x) <= stiff.height(x) + 1e-12
+
+
+def test_the_same_budget_gives_the_same_region():
+    first, second = (_coupled([[5, 1], [1, 4]], 120) for _ in range(2))
+    assert first.as_json() == second.as_json()
+
+
+def test_a_budget_that_is_too_small_proves_nothing_and_progress_is_told():
+    told = []
+    assert _coupled([[5, 1], [1, 4]], 1).status == "UNDECIDED"
+    _coupled([[5, 1], [1, 4]], 520, told.append)
+    assert told[0] == "region of attraction, 500 boxes"
