@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -138,7 +138,7 @@ class System:
         others = [v for k, v in enumerate(self._residuals(at(box or []))) if k not in rows]
         require(all(sign(v) == 0 for v in others), "an equation does not hold exactly")
         z = at(box or [])
-        require(self.inside(z), "x* is not in the domain")
+        require(self.inside(z, {1}), "x* is not in the interior of the domain")
         return [z[name] for name in self.states], [z[name] for name in self.inputs]
 
     def _residuals(self, z: Mapping[str, Any]) -> list[Any]:
@@ -148,10 +148,10 @@ class System:
         target = [found[f"target {name}"][0][0] - value for name, value in self.model.target.items()]
         return [row[0] for row in rates] + target
 
-    def inside(self, z: Mapping[str, Any]) -> bool:
-        """Whether states are in the domain for sure."""
+    def inside(self, z: Mapping[str, Any], slack: Collection[int] = (0, 1)) -> bool:
+        """Whether states are in the domain for sure; by default the edge is part of it."""
         bounds = [(z[name], *interval) for name, interval in self.model.domain.items()]
-        return all((a is None or sign(v - a) in (0, 1)) and (b is None or sign(b - v) in (0, 1)) for v, a, b in bounds)
+        return all((a is None or sign(v - a) in slack) and (b is None or sign(b - v) in slack) for v, a, b in bounds)
 
     @cached_property
     def star(self) -> dict[str, Matrix]:

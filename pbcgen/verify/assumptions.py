@@ -55,6 +55,8 @@ class Assumptions(Sums):
         """At a target given in full: it is outside the domain, or f is not in the span of g."""
         if not {*self.model.target} >= {*self.states}:
             raise NotCheckable("the target is not given in full")
+        own = [self.column(f"target {name}")[0] - v for name, v in zip(self.states, self.field.symbols, strict=False)]
+        self.zero(own, "a target has the name of a state and is another")
         x, target = [self.model.target[name] for name in self.states], self.model.target
         if not self.inside(target):
             return

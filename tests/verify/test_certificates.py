@@ -5,7 +5,17 @@ import json
 import re
 
 import pytest
-from certificates import REFERENCE, certificate_of, damped_oscillator, forged, oscillator, outcomes, signed, spoiled
+from certificates import (
+    IDLE,
+    REFERENCE,
+    certificate_of,
+    damped_oscillator,
+    forged,
+    oscillator,
+    outcomes,
+    signed,
+    spoiled,
+)
 
 from pbcgen import Design, DynamicExtension, Limits
 from pbcgen.control.certificate import certificate
@@ -52,11 +62,6 @@ def test_the_coupling_device_has_a_checked_counterexample_to_theta():
     status = {entry["claim"]: entry["status"] for entry in document["claims"]}
     assert status["theta"] == "REFUTED"
     assert outcomes(document)["theta"] == "checked"
-
-
-#: Numbers that prove nothing, or that others could stand for: names of methods, the width of a box, the last digits of
-#: its centre, a direction in which a form is negative, which of the equations that say the same is taken.
-IDLE = re.compile(r'"steps": \[[^"]*\[$|"method": "[^"]*$|"radius": "[^"]*$|"-?\d{60}\d*$|"rows": \[?$|"v": \[[^]]*$')
 
 
 @pytest.mark.parametrize("part", ["formulas", "readings", "terms", "claims"])
@@ -199,6 +204,14 @@ def test_claims_without_a_witness_are_recorded_not_checked():
         if entry["claim"] == "assumption-1":
             entry["witness"] = None
     assert outcomes(signed(document))["assumption-1"] == "recorded"
+
+
+def test_an_equilibrium_on_the_edge_of_the_domain_is_none():
+    """Where the model says nothing on one side, nothing can be said of stability."""
+    document = certificate_of("oscillator")
+    for bound, outcome in (("1/2", "fails"), ("501/1000", "checked")):
+        model = [*document["model"], f"domain q1 unbounded {bound}"]
+        assert outcomes(signed(document | {"model": model}))["equilibrium"] == outcome
 
 
 def test_an_empty_domain_has_no_equilibrium():

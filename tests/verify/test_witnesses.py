@@ -3,13 +3,15 @@
 import copy
 import functools
 import json
+import re
 
 import pytest
-from certificates import certificate_of, outcomes, signed
+from certificates import IDLE, certificate_of, outcomes, signed, spoiled
 from designs import DESIGNS
 
 from pbcgen.control.certificate import certificate
 from pbcgen.control.derive import derive
+from pbcgen.symbolic.plain.formulas import Malformed
 
 GLOBAL, LOCAL, SAMPLED = "globally-asymptotically-stable", "asymptotically-stable", "sampled-stable"
 
@@ -247,6 +249,24 @@ def test_what_is_refuted_is_not_refuted_of_the_provable_model(good, bad, claim):
         if entry["claim"] == claim:
             entry |= {"status": "REFUTED", "witness": witness(other, claim)}
     assert outcomes(signed(forged))[claim] != "checked"
+
+
+@pytest.mark.parametrize("name", ["hardening_spring", "compensated_pendulum", "buck_converter", "conserved_charge"])
+def test_another_digit_of_a_witness_is_not_believed(name):
+    document, tried = document_of(name), 0
+    for part in ("terms", "claims"):
+        text = json.dumps(document[part])
+        for place, changed in list(spoiled(document, part))[:: 1 if part == "claims" else 3]:
+            start = int(re.search(r"\d+", place)[0])
+            if IDLE.search(text[:start]) or re.search(r'"-?\d{40}\d*$', text[:start]):
+                continue
+            tried += 1
+            try:
+                found = outcomes(changed)
+            except Malformed:
+                continue
+            assert "fails" in found.values(), f"{place}: {text[start - 30 : start]}>{text[start]}<"
+    assert tried > 10
 
 
 def test_the_damping_that_sampling_consumes_must_be_there():
