@@ -98,3 +98,23 @@ def test_figures_reach_readme_and_manifest(checked):
 def test_an_unknown_target_is_refused_by_name():
     with pytest.raises(ToolchainError, match=r"no target `z80`: .*cortex-m4f"):
         target("z80")
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_target_is_set_on_the_processor_as_on_the_host(name):
+    design = load("rlc").with_(target_box={"x3": ("2.9", "3.0515")}, gain_ranges={"alpha": ("0.04", "0.0485")})
+    report = pipeline.check(design)
+    package = pipeline.package(report)
+    board = Emulated(package.files, target(name))
+    m = measurements(report, 40)
+    with Controller.of_package(package) as host:
+        for given in (2.93, 3.05, 3.2, np.nan):
+            status, count = board.set("target", [given])
+            assert host.set_target(x3=given) == host.status_name(status)
+            assert count < 400  # comparisons are calls without a floating-point unit
+        status, _ = board.set("gains", [0.045])
+        assert host.set_gains(alpha=0.045) == host.status_name(status) == "RLC_OK"
+        found = board.run(m)
+        _, u, expected = host.trace(m)
+    np.testing.assert_array_equal(found[0], u)
+    np.testing.assert_array_equal(found[1], expected)
