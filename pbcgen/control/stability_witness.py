@@ -14,11 +14,12 @@ from pbcgen.control.attraction_witness import growth, read, steps_to_rest, uniqu
 from pbcgen.control.derive import Derivation
 from pbcgen.control.dissipation_witness import sampled_damping
 from pbcgen.control.writing import Writing
+from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.laws import NaturalDamping
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.lyapunov import Kind, lyapunov
 from pbcgen.reading.system import Fails
-from pbcgen.symbolic.linear import Row, reduce_rows, solve
+from pbcgen.symbolic.linear import Inconsistent, Row, reduce_rows, solve
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, krawczyk, stable
 from pbcgen.symbolic.plain.values import Grow, NotCheckable, partial, plain, variables
@@ -32,7 +33,9 @@ _LARGEST_ROUTH = 20
 _LARGEST_CHAIN = 40
 _DIGITS = (5, 8, 12, 17)
 _RADIUS, _ROUNDS, _PLACES = "1e-70", 12, 80
-_MISFITS = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError, NotCheckable, Fails)
+_MISFITS = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError)
+#: Why a witness is not found: it is left out, and the claim is recorded.
+_GIVE_UP = (*_MISFITS, NotCheckable, Fails, UnsupportedOperation, Inconsistent)
 
 Witness = dict[str, Any] | None
 
@@ -71,7 +74,7 @@ class _Work:
         """The data for one claim, or None."""
         try:
             return _MAKERS[claim.claim](self, claim)
-        except _MISFITS:
+        except _GIVE_UP:
             return None
 
     def local(self, claim: Claim) -> Witness:

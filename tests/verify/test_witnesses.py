@@ -9,8 +9,10 @@ import pytest
 from certificates import IDLE, certificate_of, outcomes, signed, spoiled
 from designs import DESIGNS
 
+from pbcgen.control import stability_witness
 from pbcgen.control.certificate import certificate
 from pbcgen.control.derive import derive
+from pbcgen.errors import UnsupportedOperation
 from pbcgen.symbolic.plain.formulas import Malformed
 
 GLOBAL, LOCAL, SAMPLED = "globally-asymptotically-stable", "asymptotically-stable", "sampled-stable"
@@ -267,6 +269,18 @@ def test_another_digit_of_a_witness_is_not_believed(name):
                 continue
             assert "fails" in found.values(), f"{place}: {text[start - 30 : start]}>{text[start]}<"
     assert tried > 10
+
+
+def test_a_witness_that_is_not_found_leaves_its_claim_recorded(monkeypatch):
+    def too_large(*_):
+        raise UnsupportedOperation("the functions grow too large")
+
+    derivation = derive(DESIGNS["compensated_pendulum"]())
+    monkeypatch.setattr(stability_witness, "growth", too_large)
+    monkeypatch.setattr(stability_witness, "sampled_damping", too_large)
+    found = outcomes(json.loads(json.dumps(certificate(derivation))))
+    assert found[GLOBAL] == found[SAMPLED] == "recorded"
+    assert "fails" not in found.values()
 
 
 def test_the_damping_that_sampling_consumes_must_be_there():
