@@ -324,9 +324,9 @@ class _Wide:
         return step
 
     def closed_loop(self) -> ca.SX:
-        """The Jacobian of the closed loop in (x, x_c) at rest: tanh has slope one there."""
-        base, system = _base(self.law), self.plant.system
-        if isinstance(self.law, Integral) or isinstance(base, NaturalDamping) or base is None or self.gamma is None:
+        """The Jacobian of the closed loop in (x, x_c, x_l) at rest: tanh has slope one there."""
+        base, system, mechanics = _base(self.law), self.plant.system, self.given.system.mechanical
+        if isinstance(self.law, Integral) or base is None or self.gamma is None:
             raise UnsupportedOperation("the closed loop of this law is not written with symbolic parameters")
         N, A, K_c = ca.jacobian(self.gamma, system.x), self.stiffness(base), self.filter(base)
         open_loop = ca.jacobian(system.xdot, system.x)
@@ -335,15 +335,28 @@ class _Wide:
             loop = ca.SX.eye(system.m) + ca.mtimes([k_p, N, system.g])
             pull = ca.solve(loop, ca.mtimes(A, N) + ca.mtimes([k_p, N, open_loop]))
             return open_loop - ca.mtimes(system.g, pull)
-        assert isinstance(base, DynamicExtension | PotentialCompensation)
-        mechanics = self.given.system.mechanical
-        R_c, pull = self.matrix(base.R_c), ca.mtimes(A, N)
-        driven = -pull
-        if isinstance(base, PotentialCompensation) and mechanics is not None:
-            driven = driven + ca.jacobian(self.widened(ca.gradient(mechanics.V, mechanics.q)), system.x)
+        assert isinstance(base, DynamicExtension | PotentialCompensation | NaturalDamping)
         assert K_c is not None
-        above = ca.horzcat(open_loop + ca.mtimes(system.g, driven), -ca.mtimes(system.g, A))
-        return ca.vertcat(above, ca.horzcat(-ca.mtimes(R_c, pull), -ca.mtimes(R_c, A + K_c)))
+        R_c, zero = self.matrix(base.R_c), ca.SX(system.m, system.m)
+        # u = u* + held - (sum of pulls), and xi' = -(gain) (pull of the own term), with pulls linear in (x, x_c, x_l).
+        terms = [(R_c, ca.mtimes(A, N), A, A + K_c)]
+        if isinstance(base, NaturalDamping):
+            if self.derivation.eta is None or base.Upsilon is None:
+                raise UnsupportedOperation("there is no eta")
+            B = self.numbers([a * b for a, b in zip(base.alpha_l, base.beta_l, strict=True)])
+            read = ca.mtimes([B, self.matrix(base.Upsilon), ca.jacobian(self.widened(self.derivation.eta), system.x)])
+            soft = ca.mtimes(B, self.matrix(base.K_l))
+            terms.append((self.matrix(base.R_l), read, soft, soft))
+        held = ca.SX(system.m, system.n)
+        if isinstance(base, PotentialCompensation) and mechanics is not None:
+            held = ca.jacobian(self.widened(ca.gradient(mechanics.V, mechanics.q)), system.x)
+        driven = held - sum((read for _, read, _, _ in terms), ca.SX(system.m, system.n))
+        pulls = ca.horzcat(*[own for _, _, own, _ in terms])
+        rows = [ca.horzcat(open_loop + ca.mtimes(system.g, driven), -ca.mtimes(system.g, pulls))]
+        for i, (gain, read, _, own) in enumerate(terms):
+            beside = [-ca.mtimes(gain, own) if i == j else zero for j in range(len(terms))]
+            rows.append(ca.horzcat(-ca.mtimes(gain, read), *beside))
+        return ca.vertcat(*rows)
 
     def numbers(self, values: Sequence[Fraction]) -> ca.SX:
         """Gains as a diagonal matrix of exact numbers."""
