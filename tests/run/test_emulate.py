@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -118,3 +120,16 @@ def test_a_target_is_set_on_the_processor_as_on_the_host(name):
         _, u, expected = host.trace(m)
     np.testing.assert_array_equal(found[0], u)
     np.testing.assert_array_equal(found[1], expected)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_the_example_program_compiles_and_links_for_every_target(checked, name, tmp_path):
+    prefix, _, package = checked
+    for file in (f"{prefix}.h", f"{prefix}.c", f"{prefix}_example.c"):
+        (tmp_path / file).write_text(package.files[file])
+    (tmp_path / "math.h").write_text("float fabsf(float);\n")  # all that these need; not every target has a C library
+    flags = [*target(name).zig, "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-I.", "-Wl,-e,main"]
+    command = [sys.executable, "-m", "ziglang", "cc", *flags, f"{prefix}_example.c", f"{prefix}.c", "-o", "image"]
+    built = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stderr[-2000:]
+    assert (tmp_path / "image").read_bytes()[:4] == b"\x7fELF"

@@ -4,9 +4,14 @@ from pathlib import Path
 import numpy as np
 import oscillator
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
+from pbcgen import pipeline
 from pbcgen.control.step import ReferenceStep
+from pbcgen.emit import Extras
 from pbcgen.errors import ModelError, ToolchainError
+from pbcgen.models.loader import load
 from pbcgen.run.wrapper import Controller
 
 
@@ -128,3 +133,36 @@ def test_a_member_that_the_header_lacks_is_a_compiler_error() -> None:
     files["osc.h"] = files["osc.h"].replace("x_c;", "other;")
     with pytest.raises(ToolchainError, match="did not compile"):
         Controller(files, oscillator.interface())
+
+
+@pytest.fixture(scope="module")
+def adjustable() -> Iterator[Controller]:
+    design = load("rlc").with_(target_box={"x3": ("2.9", "3.0515")}, gain_ranges={"alpha": ("0.04", "0.0485")})
+    package = pipeline.package(pipeline.check(design), extras=Extras(start=True))
+    with Controller.of_package(package) as controller:
+        yield controller
+
+
+#: Any float, with numbers that a user may mean among them.
+ANY = st.one_of(st.floats(width=32), st.floats(2.9, 3.0515), st.floats(0.04, 0.0485))
+CALLS = st.lists(st.tuples(st.sampled_from(["step", "target", "gains", "start"]), ANY), max_size=30)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(CALLS)
+def test_no_sequence_of_calls_leaves_the_interval_or_the_finite_numbers(
+    adjustable: Controller, calls: list[tuple[str, float]]
+) -> None:
+    adjustable.reset()
+    for call, value in calls:
+        before = adjustable.state
+        if call == "step":
+            assert 2.8515 <= adjustable.step(x3=value)["u"] <= 3.1
+            done = adjustable.status in ("RLC_OK", "RLC_STATE_RESET")
+        else:
+            setter = {"target": adjustable.set_target, "gains": adjustable.set_gains, "start": adjustable.start_at}[
+                call
+            ]
+            done = setter(**{"alpha" if call == "gains" else "x3": value}) == "RLC_OK"
+        assert done or adjustable.state == before
+        assert all(np.isfinite(list(adjustable.state.values())))
