@@ -314,7 +314,10 @@ class _Wide:
         comp = None
         if isinstance(base, PotentialCompensation) and mechanics is not None:
             comp = self.widened(ca.gradient(mechanics.V, mechanics.q))
-        found = invariant_set(flow(self.plant, structure, self.gamma, comp))
+        try:
+            found = invariant_set(flow(self.plant, structure, self.gamma, comp))
+        except _GIVE_UP:
+            return None
         return tuple(map(self._named, found.steps)) if found.resting else None
 
     def _named(self, step: str) -> str:

@@ -143,6 +143,8 @@ class _Work:
             values = read(self.system, scratch)
             currents = [values[place] for place in places]
         grown = growth(self.system, self.terms, currents, weight)
+        if grown is None and currents:
+            grown = growth(self.system, self.terms, [], [])
         found = steps_to_rest(self.system, self.terms)
         alone = None if found is None else uniqueness(self.system, found[0], self.terms, self._power)
         if grown is None or found is None or alone is None:

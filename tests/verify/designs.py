@@ -6,11 +6,13 @@ import casadi as ca
 
 from pbcgen import (
     AffineSystem,
+    Circuit,
     Design,
     DynamicExtension,
     Limits,
     Mechanical,
     NaturalDamping,
+    Parameters,
     PassiveOutput,
     PotentialCompensation,
     load,
@@ -105,6 +107,14 @@ def buck_converter_full():
     return buck_converter(PassiveOutput("0.2", 1, "0.1"))
 
 
+def filter_with_load():
+    """A linear circuit: its storage is a quadratic form of all states."""
+    p = Parameters(L="1e-3", C="1e-4", r="0.5", R=20)
+    i, v = _symbols("i", "v")
+    circuit = Circuit([i], [v], L=[p.L], C=[p.C], Gamma=[[1]], v_R=[p.r * i], i_G=[v / p.R], g_L=[-1], parameters=p)
+    return _design(circuit, {"v": 5}, DynamicExtension(2, "0.001", 1, 100), sample_period="5e-5")
+
+
 def constant_load():
     return _design(_one(lambda q: 1.5 * q), {"q": 0}, DynamicExtension(1, 3, 5, 1))
 
@@ -186,6 +196,7 @@ DESIGNS = {
         conserved_charge,
         buck_converter,
         buck_converter_full,
+        filter_with_load,
         constant_load,
         coupling_device_with_theta,
         damping_on_a_box,

@@ -57,6 +57,7 @@ KINDS = {
     "buck_converter": (GLOBAL, "PROVED", "squares"),
     "buck_converter_full": (GLOBAL, "PROVED", "squares"),
     "constant_load": (GLOBAL, "PROVED", "steps"),
+    "filter_with_load": (GLOBAL, "PROVED", "squares"),
     "coupling_device_with_theta": (GLOBAL, "PROVED", "steps"),
     "damping_on_a_box": ("assumption-1", "PROVED", "squares"),
     "narrow_band": ("assumption-1", "PROVED", "squares"),
