@@ -82,7 +82,8 @@ def run(
     Raises ModelError for a model or an option that is not right, and for a file that cannot be written.
     """
     from pbcgen import pipeline
-    from pbcgen.report.page import page, verdict
+    from pbcgen.report.page import page
+    from pbcgen.report.sentence import meaning
 
     wishes = wishes or Wishes()
     _check(output)
@@ -100,7 +101,7 @@ def run(
     size = len(text.encode())
 
     def show(console: Console) -> None:
-        console.print(verdict(report), style="bold")
+        console.print(meaning(report), style="bold")
         console.print(f"Wrote {output}, {size / 1000:.0f} kB; it needs no network.", soft_wrap=True)
         if package is None:
             console.print("There is no C package in it: the claims that code needs are not all proved.")

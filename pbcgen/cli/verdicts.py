@@ -13,7 +13,8 @@ from rich.text import Text
 
 from pbcgen.models.exact import decimal
 from pbcgen.models.source import deciding_line
-from pbcgen.proof.claim import ELSEWHERE, NOT_REACHED, Claim, Status
+from pbcgen.proof.claim import ELSEWHERE, Claim, Status
+from pbcgen.report.sentence import meaning, not_reached
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,22 +29,6 @@ _CLAIM_WIDTH = 30
 
 #: The user's line below a hint is no longer than this.
 _LINE_WIDTH = 66
-
-#: What it means that a claim is UNDECIDED, or REFUTED.
-_WITHOUT = {
-    "equilibrium": ("it is open where the system rests", "no input holds the system at the target"),
-    "measurability": ("the law may need what is not measured", "the law needs what is not measured"),
-    "saturation": ("the inputs may leave their limits", "the inputs can leave their limits"),
-    "asymptotically-stable": ("it is open whether the loop settles at x*", "the loop does not settle at x*"),
-    "sampled-stable": (
-        "it is open whether the sampled loop settles",
-        "the loop does not settle at this sample period",
-    ),
-    "adjustable": (
-        "it is open whether the loop settles for every setting",
-        "the loop does not settle for every setting",
-    ),
-}
 
 #: A line of x* is no longer than this, so that it stands beside its name on 80 columns.
 _POINT_WIDTH = 50
@@ -115,11 +100,6 @@ def _decided_alike(claims: Sequence[Claim]) -> list[list[Claim]]:
     return list(rows.values())
 
 
-def not_reached(claim: Claim) -> bool:
-    """Whether an earlier claim kept this one from being looked at."""
-    return claim.method == NOT_REACHED
-
-
 def _description(claims: Sequence[Claim], hints: Iterable[str], place: Place | None) -> Text:
     first, text = claims[0], Text()
     if not_reached(first) and len(claims) > 1:
@@ -175,31 +155,6 @@ def _figure(value: Any) -> str:
     if isinstance(value, Fraction):
         return decimal(value)
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def meaning(report: Report) -> str:
-    """The verdicts in one sentence."""
-    if report.emittable and "globally-asymptotically-stable" in _proved(report):
-        domain = next(c.domain for c in report.claims if c.claim == "sampled-stable")
-        sampled = "sampled too" if "all x" in domain else "sampled from nearby"
-        return f"Proved: the loop settles at x* from everywhere, {sampled}, within its limits."
-    if report.emittable:
-        return "Proved: from nearby the loop settles at x*, sampled too, within its limits."
-    blocking = report.blocking()
-    if report.unwritable:
-        return f"No code: {report.unwritable}."
-    if not blocking:
-        return "No code: the derivation stopped before it had a controller."
-    refuted = [c for c in blocking if c.status is Status.REFUTED]
-    shown = refuted or [c for c in blocking if not not_reached(c)] or blocking
-    if any(c.claim == "asymptotically-stable" for c in shown):  # then the sampled loop does not settle either
-        shown = [c for c in shown if c.claim != "sampled-stable"]
-    reasons = (f"{_WITHOUT[c.claim][c.status is Status.REFUTED]} ({c.claim} {c.status})" for c in shown)
-    return f"No code: {'; '.join(reasons)}."
-
-
-def _proved(report: Report) -> set[str]:
-    return {claim.claim for claim in report.claims if claim.status is Status.PROVED}
 
 
 def next_steps(report: Report, model: str) -> list[str]:

@@ -25,8 +25,9 @@ from pbcgen.report.derivation import steps
 from pbcgen.report.law_formulas import law_formulas
 from pbcgen.report.mathematics import Formula, Step
 from pbcgen.report.model_formulas import model_formulas
-from pbcgen.report.page import ICONS, MEANINGS, block_filter, counterexample, symbol_filter, verdict
+from pbcgen.report.page import ICONS, MEANINGS, block_filter, counterexample, symbol_filter
 from pbcgen.report.plots import STYLE, Bounds, plot_closed_loop
+from pbcgen.report.sentence import meaning
 
 
 @cache
@@ -49,7 +50,7 @@ def _render(part: str, **context: Any) -> str:
 
 def report_html(report: Report) -> str:
     """The verdict in a sentence, the table of claims, the derivation to unfold."""
-    return _render("report", report=report, verdict=verdict(report), steps=steps(report.derivation))
+    return _render("report", report=report, verdict=meaning(report), steps=steps(report.derivation))
 
 
 def claim_html(claim: Claim) -> str:

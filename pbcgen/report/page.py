@@ -28,6 +28,7 @@ from pbcgen.report.derivation import steps
 from pbcgen.report.mathematics import mathml
 from pbcgen.report.model_formulas import model_formulas
 from pbcgen.report.plot_data import plot_data
+from pbcgen.report.sentence import meaning, open_points
 from pbcgen.symbolic.sympy_form import decimal_as_latex, name_as_latex
 
 Progress = Callable[[str], None] | None
@@ -154,7 +155,9 @@ def _context(
         "design": design,
         "system": system,
         "title": system.name or design.name or "controller",
-        "verdict": verdict(report),
+        "verdict": meaning(report)
+        if package is None or report.emittable
+        else f"Code by consent: {open_points(report)}.",
         "emission_claims": EMISSION_CLAIMS,
         "claims": {claim.claim: claim for claim in report.claims},
         "counterexamples": {c.claim: counterexample(c) for c in report.claims if c.counterexample},
@@ -198,23 +201,6 @@ def _json_for_html(document: Any) -> Markup:
     """JSON that may stand in a script element."""
     text = json.dumps(document, separators=(",", ":"), sort_keys=True, allow_nan=False)
     return Markup(text.replace("<", "\\u003c"))
-
-
-def verdict(report: Report) -> str:
-    """The verdicts in one sentence."""
-    proved = {c.claim for c in report.claims if c.status is Status.PROVED}
-    if report.emittable:
-        where = "from everywhere" if "globally-asymptotically-stable" in proved else "from nearby"
-        return (
-            f"Proved: {where} the closed loop settles at x*, from nearby also with the sampled C, "
-            "and every input stays within its limits."
-        )
-    blocking = report.blocking()
-    if report.unwritable:
-        return f"No code can be generated: {report.unwritable}."
-    if not blocking:
-        return "No code can be generated: the derivation stopped before it had a controller."
-    return "No code is generated without your consent: " + "; ".join(f"{c.claim} is {c.status}" for c in blocking) + "."
 
 
 def counterexample(claim: Claim) -> list[tuple[str, str]]:
