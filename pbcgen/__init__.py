@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 from pbcgen.errors import EmitError, ModelError, NotProved, PbcgenError, ToolchainError, UnsupportedOperation
 
 if TYPE_CHECKING:
-    from pbcgen.control.tune import Wish, tune
+    from pbcgen.control.tune import tune
+    from pbcgen.control.tuning_problem import Wish
     from pbcgen.models.affine import AffineSystem
     from pbcgen.models.circuit import Circuit
     from pbcgen.models.design import Design
@@ -65,7 +66,7 @@ _HOMES = {
     "Parameters": "pbcgen.models.parameters",
     "PassiveOutput": "pbcgen.models.laws",
     "PotentialCompensation": "pbcgen.models.laws",
-    "Wish": "pbcgen.control.tune",
+    "Wish": "pbcgen.control.tuning_problem",
     "tune": "pbcgen.control.tune",
     "check": "pbcgen.pipeline",
     "for_all_parameters": "pbcgen.pipeline",

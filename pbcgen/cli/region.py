@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from pbcgen.control.attraction import Region
+    from pbcgen.control.region import Region as Ellipsoid
 
 
 def register(app: typer.Typer) -> None:
@@ -26,7 +27,7 @@ def register(app: typer.Typer) -> None:
         boxes: Annotated[int, typer.Option(help="How many boxes of states to look at.", min=1)] = 20_000,
         json: options.Json = False,
     ) -> Outcome:
-        """Certify a region of attraction: a level set of the Lyapunov function."""
+        """Certify a region of attraction: a level set of the Lyapunov function, else an ellipsoid."""
         return run(model, boxes=boxes, json=json)
 
 
@@ -43,15 +44,31 @@ def run(model: str, *, boxes: int = 20_000, json: bool = False) -> Outcome:
         report = pipeline.check(load(model), progress=tell)
         tell("region of attraction")
         found = pipeline.region(report, boxes, tell)
-    document = {"design": report.design.name, "region_of_attraction": found.as_json()}
+        ellipsoid = None
+        if found.status is not Status.PROVED:
+            from pbcgen.control.region import certified_region
+
+            tell("ellipsoid of the linearised loop")
+            ellipsoid = certified_region(report.derivation)
+    document = {
+        "design": report.design.name,
+        "region_of_attraction": found.as_json(),
+        "ellipsoid": None if ellipsoid is None else ellipsoid.as_json(),
+    }
+    proved = found.status is Status.PROVED or ellipsoid is not None
     return Outcome(
-        show=lambda console: _show(console, str(report.design.name), found),
+        show=lambda console: _show(console, str(report.design.name), found, ellipsoid),
         document=document if json else None,
-        exit_code=0 if found.status is Status.PROVED else NotProved.exit_code,
+        exit_code=0 if proved else NotProved.exit_code,
     )
 
 
-def _show(console: Console, name: str, found: Region) -> None:
+def _show(console: Console, name: str, found: Region, ellipsoid: Ellipsoid | None) -> None:
+    if ellipsoid is not None:
+        console.print(f"{name}: region of attraction PROVED")
+        console.print(ellipsoid.sentence, highlight=False)
+        console.print(f"No level set of the storage: {found.evidence}.", highlight=False)
+        return
     console.print(f"{name}: region of attraction {found.status}")
     console.print(found.evidence, highlight=False)
     if found.box:

@@ -75,7 +75,8 @@ def run(
         NotProved: no gains were found that pass.
         EmitError: the output exists already.
     """
-    from pbcgen.control.tune import Route, Wish, tune
+    from pbcgen.control.tune import tune
+    from pbcgen.control.tuning_problem import Route, Wish
     from pbcgen.models.exact import positive
 
     if plot is not None and (plot.suffix.lower() not in _PICTURES or not plot.parent.is_dir()):
@@ -98,7 +99,7 @@ def run(
 
 
 def _file(tuning: Tuning) -> str:
-    from pbcgen.control.tune import expression
+    from pbcgen.control.gain_space import expression
 
     law = expression(tuning.design.law)
     names = sorted({word.split("(")[0].strip() for word in law.splitlines() if word.rstrip().endswith("(")})
@@ -164,7 +165,7 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
 
 
 def _show(console: Console, tuning: Tuning, output: Path | None, plot: Path | None) -> None:
-    from pbcgen.control.tune import expression
+    from pbcgen.control.gain_space import expression
 
     console.print(f"{tuning.design.name}: gains for law {tuning.design.law.name}", style="bold")
     console.print(f"before: {_figures(tuning.before)}")

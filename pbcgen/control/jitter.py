@@ -9,23 +9,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from importlib.util import find_spec
 
 import numpy as np
 from flint import arb, arb_mat
-from numpy.typing import NDArray
 
+from pbcgen.control.common_storage import Array, common_storage, decrease, modal_basis
 from pbcgen.control.scan import SCAN_BITS
 from pbcgen.control.transition import LinearLoop, Transition
 from pbcgen.proof.claim import Status
 from pbcgen.symbolic.real import ball, enclose, precision, rational
 
-Array = NDArray[np.float64]
-
-#: Limits of the search: order of the loop, samples of the interval, rounds of the weights.
+#: Limits of the search: order of the loop, samples of the interval.
 _LARGEST = 30
 _SAMPLES = 9
-_LESSONS = 60
 
 #: Subintervals that may be tried for one storage.
 _CELLS = 1500
@@ -65,11 +61,6 @@ def jitter(loop: LinearLoop, h: Fraction, share: Fraction, delay: Fraction = Fra
     return Jitter(h * (1 - share), h * (1 + share), status, found, good)
 
 
-def solver_available() -> bool:
-    """Whether matrix inequalities can be solved; without the solver a fixed point over the samples must do."""
-    return find_spec("clarabel") is not None
-
-
 def _storage(loop: LinearLoop, h: Fraction, share: Fraction, delay: Fraction) -> Array | None:
     """F for the interval, verified; or None."""
     with precision(SCAN_BITS):
@@ -101,92 +92,11 @@ def _floats(matrix: arb_mat) -> Array:
 
 def _proposal(samples: list[Array]) -> Array | None:
     """F with ``|F M_k z| < |F z|`` for all samples, the first being the nominal loop; or None."""
-    basis, moduli = _modal(samples[0])
+    basis, values = modal_basis(samples[0])
     inverse = np.linalg.inv(basis)
-    modal = [inverse @ M @ basis for M in samples]
-    weights = np.sqrt(np.maximum(1 - moduli**2, 1e-14))
-    P = _by_inequalities(modal, weights) if solver_available() else None
-    if P is None or _worst(P, modal) <= 0:
-        P = _by_weights(modal, weights)
-    if P is None or np.linalg.eigvalsh(P)[0] <= 0:
-        return None
-    factor: Array = np.linalg.cholesky(P).T @ inverse
-    return factor
-
-
-def _modal(M: Array) -> tuple[Array, Array]:
-    """Real eigenvectors of M, a plane for each complex pair, and the moduli of their eigenvalues."""
-    values, vectors = np.linalg.eig(M)
-    columns, moduli = [], []
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value.imag < 0:
-            continue
-        parts = [vector.real] if value.imag == 0 else [vector.real, vector.imag]
-        for part in parts:
-            columns.append(part)
-            moduli.append(abs(value))
-    return np.array(columns).T, np.array(moduli)
-
-
-def _worst(P: Array, samples: list[Array]) -> float:
-    return float(min(np.linalg.eigvalsh(P - M.T @ P @ M)[0] for M in samples))
-
-
-def _by_inequalities(samples: list[Array], weights: Array) -> Array | None:
-    """P of trace N that maximises t in ``P - M_k^T P M_k >= t W^2``, W the decay that the nominal modes have."""
-    import clarabel
-    from scipy import sparse
-
-    n = len(weights)
-    pairs = [(i, j) for j in range(n) for i in range(j + 1)]
-    scale = np.array([1.0 if i == j else np.sqrt(2) for i, j in pairs])
-    units = []
-    for i, j in pairs:
-        unit = np.zeros((n, n))
-        unit[i, j] = unit[j, i] = 1.0
-        units.append(unit)
-
-    def triangle(matrix: Array) -> Array:
-        return np.asarray(np.array([matrix[i, j] for i, j in pairs]) * scale)
-
-    left = 1 / weights[:, None]
-    blocks = [np.array([*(triangle(u) for u in units), np.zeros(len(pairs))]).T]
-    identity = triangle(np.eye(n))
-    for M in samples:
-        columns = [triangle(left * (u - M.T @ u @ M) * left.T) for u in units]
-        blocks.append(np.array([*columns, -identity]).T)
-    trace = np.array([[float(i == j) for i, j in pairs] + [0.0]])
-    A = sparse.csc_matrix(np.vstack([trace, *(-b for b in blocks)]))
-    b = np.concatenate([[float(n)], np.zeros(len(pairs) * len(blocks))])
-    q = np.concatenate([np.zeros(len(pairs)), [-1.0]])
-    cones = [clarabel.ZeroConeT(1), *(clarabel.PSDTriangleConeT(n) for _ in blocks)]
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    size = len(q)
-    solution = clarabel.DefaultSolver(sparse.csc_matrix((size, size)), q, A, b, cones, settings).solve()
-    x = np.array(solution.x)
-    if not np.all(np.isfinite(x)) or x[-1] <= 0:
-        return None
-    return np.asarray(sum((v * u for v, u in zip(x[:-1], units, strict=True)), np.zeros((n, n))))
-
-
-def _by_weights(samples: list[Array], weights: Array) -> Array | None:
-    """P with ``P = W^2 + sum_k w_k M_k^T P M_k``, the weights w learning from the samples that fail."""
-    n = len(weights)
-    operators = [np.kron(M.T, M.T) for M in samples]
-    share = np.full(len(samples), 1 / len(samples))
-    target = np.diag(weights**2).ravel()
-    for _ in range(_LESSONS):
-        total = np.eye(n * n) - sum(w * o for w, o in zip(share, operators, strict=True))
-        found = np.linalg.solve(total, target).reshape(n, n)
-        P: Array = (found + found.T) / 2
-        left = 1 / weights[:, None]
-        margins = np.array([np.linalg.eigvalsh(left * (P - M.T @ P @ M) * left.T)[0] for M in samples])
-        if np.all(margins > 0) and np.linalg.eigvalsh(P)[0] > 0:
-            return P
-        share = share * np.exp(-margins / max(1e-9, float(np.max(np.abs(margins)))))
-        share /= share.sum()
-    return None
+    weights = np.sqrt(np.maximum(1 - np.abs(values) ** 2, 1e-14))
+    P = common_storage([decrease(inverse @ M @ basis) for M in samples], weights)
+    return None if P is None else np.asarray(np.linalg.cholesky(P).T @ inverse)
 
 
 # --- the proof ---------------------------------------------------------------------------------------------------

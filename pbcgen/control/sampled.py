@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from pbcgen.control.attractivity import Situation
+from pbcgen.control.common_storage import solver_available
 from pbcgen.control.family import LoopFamily
 from pbcgen.control.gain_change import FACTORS, GainChange, gain_change
-from pbcgen.control.jitter import Jitter, jitter, solver_available
+from pbcgen.control.jitter import Jitter, jitter
 from pbcgen.control.linearisation import estimate, spectral
 from pbcgen.control.lyapunov_period import LyapunovPeriods, lyapunov_periods
 from pbcgen.control.scan import Scan, scan

@@ -7,7 +7,7 @@ is the discretised one, with diagonal gains. Runs are estimates: the gains that 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -111,15 +111,19 @@ class Trial:
     law: Law
     steps: int = 1
 
-    def run(self, law: Law, duration: float, most: int = 20000) -> Run:
-        """The loop with another law of the same kind from the initial state, for so many seconds."""
+    def run(self, law: Law, duration: float, push: Sequence[float] | None = None, most: int = 20000) -> Run:
+        """The loop with another law of the same kind from the initial state, for so many seconds.
+
+        ``push`` is a constant disturbance that is added to the inputs (m,).
+        """
         h = float(self.design.sample_period)
         count = int(min(max(round(duration / h), 1), most))
         step, nx = self._step, self.plant.system.n
         start = np.concatenate([[float(v) for v in self.design.initial], np.zeros(self._xi.numel())])
         p = _flat(law)
+        d = list(push) if push is not None else [0.0] * self.plant.system.m
         many = step.mapaccum(count)
-        states = np.hstack([start[:, None], np.array(many(start, p))])[:nx]
+        states = np.hstack([start[:, None], np.array(many(start, p, d))])[:nx]
         errors = np.array(self._error.map(count + 1)(states)).T
         return Run(np.arange(count + 1, dtype=np.float64) * h, errors, states.T)
 
@@ -144,14 +148,15 @@ class Trial:
 
     @cached_property
     def _step(self) -> ca.Function:
-        """(z, gains) -> z over one sample period."""
+        """(z, gains, disturbance) -> z over one sample period."""
         system = self.plant.system
         p = ca.SX.sym("p", len(_flat(self.law)))
         h = float(self.design.sample_period)
         following, u = self._control(system.x, self._xi, _named(self.law, p), h)
-        after = self._plant_step(system.x, self._at_values(u), h)
+        d = ca.SX.sym("d", system.m)
+        after = self._plant_step(system.x, self._at_values(u) + d, h)
         z = ca.vertcat(system.x, self._xi)
-        return ca.Function("step", [z, p], [ca.vertcat(after, self._at_values(following))])
+        return ca.Function("step", [z, p, d], [ca.vertcat(after, self._at_values(following))])
 
     def _plant_step(self, x: ca.SX, u: ca.SX, h: float) -> ca.SX:
         system = self.plant.system

@@ -4,11 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flint import arb, arb_mat
 
+from pbcgen import DynamicExtension
+from pbcgen.control import common_storage
 from pbcgen.control.derive import derive
-from pbcgen.control.region import certified_region
+from pbcgen.control.region import _decreases, certified_region
+from pbcgen.control.saturated_loop import saturated_loop
 from pbcgen.models.loader import load
 from pbcgen.run.simulate import simulate_continuous
+from pbcgen.symbolic.real import BITS, precision
+from tests.control.test_sampled import two_masses
 
 
 @pytest.fixture(scope="module")
@@ -20,8 +26,12 @@ def pendulum():
 def test_the_region_is_certified_and_not_vacuous(pendulum):
     _, region = pendulum
     assert region is not None
-    assert min(region.reach) > 1e-3
-    assert "link +-" in region.sentence
+    assert region.inside is not None
+    assert region.inside[0] > 0.3  # rad; the link starts at 0.2
+    assert region.start >= 1
+    assert "link +- 0." in region.sentence
+    assert "rad" in region.sentence
+    assert "contains the initial state" in region.sentence
 
 
 def test_the_storage_falls_from_the_edge_of_the_region(pendulum):
@@ -39,3 +49,52 @@ def test_the_storage_falls_from_the_edge_of_the_region(pendulum):
         zeta = np.hstack([deviation, deviation[:, 1:2] + run.xi])
         values = np.einsum("ki,ij,kj->k", zeta, region.P, zeta)
         assert np.all(np.diff(values) <= 1e-9 * values[0])
+
+
+def falls(found, region, lift):
+    """Whether the storage falls along runs from the edge of the region, the filters at rest."""
+    P = lift.T @ region.P @ lift
+    inverse = np.linalg.inv(P)
+    n = len(found.loop.x_star)
+    for k in range(n):
+        edge = inverse[:, k] / np.sqrt(inverse[k, k]) * np.sqrt(region.level)
+        loop = replace(found.loop, initial=found.loop.x_star + edge)
+        run = simulate_continuous(loop, np.linspace(0.0, 4.0, 200))
+        z = (run.x - found.loop.x_star) @ lift.T
+        z[:, n:] += run.xi
+        values = np.einsum("ki,ij,kj->k", z, region.P, z)
+        assert values[0] == pytest.approx(region.level, rel=1e-6)
+        assert np.all(np.diff(values) <= 1e-9 * values[0])
+
+
+def test_two_inputs_with_full_gains_and_linear_masses():
+    found = derive(two_masses([[7, 2], [2, 9]], [[3, 1], [1, 2]]))
+    region = certified_region(found)
+    # only the saturations bend: the ellipsoid reaches beyond their linear part, z beta > 1
+    assert region.reach[4] * 5 > 2
+    assert region.start >= 1
+    falls(found, region, np.vstack([np.eye(4), np.eye(2, 4)]))
+
+
+def test_without_the_solver_a_region_is_still_certified(monkeypatch):
+    monkeypatch.setattr(common_storage, "solver_available", lambda: False)
+    found = derive(two_masses(7, 3))
+    region = certified_region(found)
+    assert min(region.inside) > 1e-3
+    falls(found, region, np.vstack([np.eye(4), np.eye(2, 4)]))
+
+
+def test_an_unstable_loop_has_no_region():
+    design = load("elastic_pendulum").with_(law=DynamicExtension(alpha=3, beta="0.1", K_c=12, R_c=1))
+    assert certified_region(derive(design)) is None
+
+
+def test_a_region_beyond_what_decreases_is_not_certified(pendulum):
+    found, region = pendulum
+    loop = saturated_loop(found)
+    with precision(BITS):
+        factor = np.linalg.cholesky(region.P).T
+        F = arb_mat([[arb(float(v)) for v in row] for row in factor])
+        scale = float(np.sqrt(region.level))
+        assert _decreases(loop, F, F.inv(), 0.9 * scale)
+        assert not _decreases(loop, F, F.inv(), 10 * scale)

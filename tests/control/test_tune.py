@@ -7,12 +7,24 @@ from fractions import Fraction
 import casadi as ca
 import pytest
 
-from pbcgen import AffineSystem, Design, DynamicExtension, Limits, Mechanical, ModelError, NotProved, pipeline
+from pbcgen import (
+    AffineSystem,
+    Design,
+    DynamicExtension,
+    Integral,
+    Limits,
+    Mechanical,
+    ModelError,
+    NotProved,
+    pipeline,
+)
 from pbcgen.cli import execute
 from pbcgen.control.derive import derive
+from pbcgen.control.gain_space import expression
 from pbcgen.control.linearisation import delayed_matrix
 from pbcgen.control.trial import Trial, response
-from pbcgen.control.tune import Wish, expression, tune
+from pbcgen.control.tune import tune
+from pbcgen.control.tuning_problem import Wish
 from pbcgen.models.loader import load
 from pbcgen.proof.claim import Status
 from pbcgen.proof.spectrum import schur
@@ -99,6 +111,49 @@ def test_two_inputs_and_a_polyhedron():
 def test_a_system_that_is_not_mechanical():
     tuning = tune(heated_tank(), Wish(effort=40))
     assert pipeline.check(tuning.design).emittable
+
+
+def test_gains_that_do_not_settle_are_not_recommended():
+    design = load("rlc").with_(duration="2e-3")  # the slowest mode takes longer than this run
+    with pytest.raises(NotProved, match=r"settling: the loop is not within 2 % of its target after 0\.002 s"):
+        tune(design, Wish(routes=("linearisation",), effort=20))
+
+
+def test_a_wish_that_cannot_be_met_names_what_binds():
+    tuning = tune(load("rlc"), Wish(routes=("linearisation",), settling=1e-3, effort=20))
+    (line,) = [note for note in tuning.chosen.notes if "is not reached" in note]
+    assert "the wished settling time of 0.001 s is not reached: 0.0" in line
+    assert "what binds: limit u <= 3.1" in line
+
+
+def joint_with_integral():
+    """A joint with an integral term that leaks."""
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    model = Mechanical(q=[q], p=[p], M=[1], V=-ca.cos(q), D=[1], G=[1], inputs=["torque"])
+    law = Integral(DynamicExtension(alpha=3, beta=2, K_c=4, R_c=1), alpha_psi=1, beta_psi=1, R_psi=2)
+    return Design(
+        model,
+        target={"q": "0.5"},
+        law=law,
+        limits=Limits.symmetric(6),
+        sample_period="1e-2",
+        initial={"q": "0"},
+        duration=20,
+        name="joint",
+    )
+
+
+def test_an_integral_term_is_tuned_against_a_disturbance():
+    design = joint_with_integral()
+    tuning = tune(design, Wish(routes=("linearisation",), effort=80))
+    assert pipeline.check(tuning.design).emittable
+    found = derive(design)
+    trial = Trial(found.plant, found.point, found.gamma, found.eta, design, found.law)
+    push = [0.1 * float(tuning.amplitudes[0])]
+    before, after = (response(trial.run(law, 20, push)).final for law in (found.law, tuning.design.law.resolve(1)))
+    assert after < before / 2
+    assert tuning.design.law.R_psi != design.law.R_psi
+    assert any("constant disturbance of 10 %" in note for note in tuning.chosen.notes)
 
 
 def test_the_same_seed_gives_the_same_gains():
