@@ -133,10 +133,10 @@ def _best(loop: SaturatedLoop) -> _Found | None:
             for share in _DECAYS:
                 if left == 0:
                     break
-                left -= 1
                 factor = _proposal(loop, at_target, width, share)
                 if factor is None:
                     continue
+                left -= 1
                 if best is None or _GROWTH * loop.size_of(factor) > best[0]:
                     hopeless = False
                     best = _grown(loop, factor, best) or best
