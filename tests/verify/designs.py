@@ -66,6 +66,11 @@ def weakly_held_pendulum():
     return _design(_one(lambda q: 10 * (1 - ca.cos(q))), {"q": 0})
 
 
+def overloaded_pendulum():
+    """kappa = -10 sin(0.5) exceeds the amplitude, and the potential does not grow: there are rests one turn away."""
+    return _design(_one(lambda q: 10 * (1 - ca.cos(q))), {"q": "0.5"}, DynamicExtension(2, 3, 50, 1))
+
+
 def compensated_pendulum():
     return _design(_one(lambda q: 10 * (1 - ca.cos(q))), {"q": "0.5"}, PotentialCompensation(20, 3, 50, 1))
 
@@ -187,6 +192,7 @@ DESIGNS = {
         hardening_spring,
         softening_spring,
         weakly_held_pendulum,
+        overloaded_pendulum,
         compensated_pendulum,
         cubic_damping,
         uncoupled_cubic_damping,

@@ -4,6 +4,7 @@ import copy
 import functools
 import json
 import re
+from dataclasses import replace
 
 import pytest
 from certificates import IDLE, certificate_of, outcomes, signed, spoiled
@@ -13,6 +14,7 @@ from pbcgen.control import stability_witness
 from pbcgen.control.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.proof.claim import Status
 from pbcgen.symbolic.plain.formulas import Malformed
 
 GLOBAL, LOCAL, SAMPLED = "globally-asymptotically-stable", "asymptotically-stable", "sampled-stable"
@@ -282,6 +284,31 @@ def test_a_witness_that_is_not_found_leaves_its_claim_recorded(monkeypatch):
     found = outcomes(json.loads(json.dumps(certificate(derivation))))
     assert found[GLOBAL] == found[SAMPLED] == "recorded"
     assert "fails" not in found.values()
+
+
+#: Verdicts that are known to be wrong of these designs, beside those that are REFUTED.
+WRONG = {"overloaded_pendulum": {GLOBAL}, "undamped_mode": {SAMPLED}, "conserved_charge": {SAMPLED}}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("softening_spring", "weakly_held_pendulum", "overloaded_pendulum", "undamped_mode", "antisymmetric_mode"),
+        *("conserved_charge", "negative_damping", "wrong_output", "unassignable_target"),
+    ],
+)
+def test_witnesses_that_are_looked_for_where_the_claim_is_wrong_show_nothing(name):
+    """Every verdict is forced to PROVED before the certificate is written, so that its makers do their best."""
+    derivation = derive(DESIGNS[name]())
+    wrong = {c.claim for c in derivation.claims if c.status is Status.REFUTED} | WRONG.get(name, set())
+    domains = {GLOBAL: "all x", LOCAL: "near x*", SAMPLED: "sampled loop"}
+    claims = tuple(
+        replace(c, status=Status.PROVED, domain=domains.get(c.claim, c.domain)) if c.claim in wrong else c
+        for c in derivation.claims
+    )
+    assert wrong
+    found = outcomes(json.loads(json.dumps(certificate(replace(derivation, claims=claims)))))
+    assert {claim for claim in wrong if found[claim] == "checked"} == set()
 
 
 def test_the_damping_that_sampling_consumes_must_be_there():
