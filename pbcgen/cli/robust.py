@@ -252,6 +252,17 @@ def _median(values: Any) -> float:
     return float(np.median(values))
 
 
+def _settling(found: Robustness) -> str:
+    """The settling times of the runs that settle, and how many do not."""
+    settled = [float(t) for t in found.settling if t < float("inf")]
+    late = len(found.settling) - len(settled)
+    if not settled:
+        return "settling time: no run settles within 2 % of the initial error"
+    middle = sorted(settled)[len(settled) // 2]
+    open_runs = f"; {late} runs do not settle" if late else ""
+    return f"settling time (2 %): median {middle:.4g} s, worst {max(settled):.4g} s{open_runs}"
+
+
 def _show(
     console: Console, name: str, found: Robustness, worst: dict[str, Any], output: Path | None, plot: Path | None
 ) -> None:
@@ -260,7 +271,7 @@ def _show(
     for k, target in enumerate(found.target_names):
         errors = abs(found.final[:, k])
         console.print(f"final error of {target}: mean {errors.mean():.4g}, worst {errors.max():.4g}")
-    console.print(f"settling time: median {_median(found.settling):.4g} s, worst {found.settling.max():.4g} s")
+    console.print(_settling(found))
     console.print(
         f"worst run: number {worst['run']}, ends at {100 * worst['final_relative']:.4g} % of the initial error"
     )

@@ -280,6 +280,8 @@ def _decreases(loop: SaturatedLoop, F: arb_mat, inverse: arb_mat, scale: float) 
         float((sum((inverse[j, k] ** 2 for k in range(size)), arb(0)).sqrt() * arb(scale)).upper()) * (1 + 1e-9)
         for j in range(size)
     ]
+    if any(w > room for w, room in zip(widths, loop.room, strict=True)):
+        return False
     arguments = [ball(rational(b)) * arb(widths[row]) for b, row in zip(loop.beta, loop.row, strict=True)]
     limits, sectors = [a.tanh().upper() for a in arguments], [_least_ratio(a) for a in arguments]
     waiting = [[(-w, w) for w in widths]]

@@ -18,7 +18,7 @@ from pbcgen.control.common_storage import Array
 from pbcgen.control.derive import Derivation
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation
-from pbcgen.symbolic.real import REAL, ZERO, Real, approximate, ball, rational, reals
+from pbcgen.symbolic.real import REAL, ZERO, Real, approximate, ball, lower, rational, reals, upper
 from pbcgen.symbolic.tape import Tape
 
 #: F_z and F_t at one point, and deviations from the target.
@@ -35,6 +35,7 @@ class SaturatedLoop:
         numbers: exact or enclosed values of gains and target. centre: z at the target, enclosed.
         parameters: of the plant. beta, row: slope and coordinate of each tanh.
         start: z of the initial state. lift: dz/dx with the filters at rest, where that is constant.
+        room: how far each coordinate may go before the plant leaves its declared domain.
     """
 
     names: tuple[str, ...]
@@ -47,6 +48,7 @@ class SaturatedLoop:
     row: tuple[int, ...]
     start: Array
     lift: Array | None
+    room: Array
 
     @property
     def slope_of_tanh(self) -> Array:
@@ -198,7 +200,19 @@ def saturated_loop(found: Derivation) -> SaturatedLoop | None:
         tuple(range(n, len(names))),
         _start(found, ca.vertcat(*moved), numbers),
         _lift(found, ca.vertcat(*moved), numbers),
+        _room(found, len(names)),
     )
+
+
+def _room(found: Derivation, size: int) -> Array:
+    """The distance of x* from the ends of the domain, rounded down; infinite for the other coordinates."""
+    assert found.point is not None
+    room = np.full(size, np.inf)
+    for k, (name, star) in enumerate(zip(found.plant.system.state_names, found.point.x, strict=True)):
+        lo, hi = found.plant.system.domain.get(name, (None, None))
+        ends = [*([] if lo is None else [lower(star) - lo]), *([] if hi is None else [hi - upper(star)])]
+        room[k] = min((float(end) * (1 - 1e-12) for end in ends), default=np.inf)
+    return room
 
 
 def _lift(found: Derivation, moved: ca.SX, numbers: _Numbers) -> Array | None:

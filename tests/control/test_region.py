@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from flint import arb, arb_mat
 
-from pbcgen import DynamicExtension
+from pbcgen import DynamicExtension, Mechanical
 from pbcgen.control import common_storage
 from pbcgen.control.derive import derive
 from pbcgen.control.region import _decreases, certified_region
@@ -98,3 +99,18 @@ def test_a_region_beyond_what_decreases_is_not_certified(pendulum):
         scale = float(np.sqrt(region.level))
         assert _decreases(loop, F, F.inv(), 0.9 * scale)
         assert not _decreases(loop, F, F.inv(), 10 * scale)
+
+
+def test_a_region_stays_inside_the_declared_domain():
+    design = two_masses(7, 3)
+    narrow = Mechanical(
+        q=[(q := ca.SX.sym("q", 2))[0], q[1]],
+        p=ca.vertsplit(ca.SX.sym("p", 2)),
+        M=[1, 2],
+        V=(q[0] ** 2 + (q[0] - q[1]) ** 2) / 2,
+        D=[2, 3],
+        G=ca.SX.eye(2),
+        domain={"q_0": (0.75, 5)},
+    )
+    wide, bounded = (certified_region(derive(d)) for d in (design, design.with_(system=narrow, target=[1, 1])))
+    assert wide.reach[0] > 0.25 >= bounded.reach[0] > 0.2
