@@ -162,7 +162,9 @@ class _Wide:
     def proved(self, name: str, domain: str, method: str, evidence: str) -> Claim:
         """A verdict; it says so when the model is not defined for all positive parameters."""
         where = domain if self.defined else f"{domain}, where the model is defined"
-        return Claim(name, Status.PROVED, where, method, evidence)
+        others = [n for n, value in self.given.system.parameters.values.items() if value <= 0]
+        note = f"; this does not speak of the model's own {', '.join(others)}, which is not positive" if others else ""
+        return Claim(name, Status.PROVED, where, method, evidence + note)
 
     def is_defined(self, *functions: ca.SX) -> bool:
         """Whether the functions are certainly defined and smooth for all x and all positive parameters."""

@@ -224,6 +224,14 @@ def test_a_resting_point_that_is_not_a_rational_function_is_open():
     assert found["equilibrium"] == found["asymptotically-stable"] == "UNDECIDED"
 
 
+def test_a_value_that_is_not_positive_is_named():
+    """The friction d + e with e = -1/10 is one of another family: what is proved speaks of positive e only."""
+    design = _design(_oscillator(lambda p: p.d + p.e, e="-0.1"), {"q": "0.5"})
+    claim = _claims(design)["assumption-1"]
+    assert claim.status == "PROVED"
+    assert "does not speak of the model's own e" in claim.evidence
+
+
 def test_a_model_without_parameters_is_told_to_name_them():
     q, v, u = _symbols("q", "v", "u")
     system = AffineSystem([q, v], [u], [v, -q - v], [0, 1], (q**2 + v**2) / 2)
