@@ -95,8 +95,7 @@ def arm(n: int) -> Design:
     """A planar arm of n links with ``M = sum J_i^T W_i J_i``."""
     q, positions, p = _angles(n)
     momenta = ca.vertcat(*[ca.SX.sym(f"p{k}") for k in range(n)])
-    jacobians = [ca.jacobian(position, q) for position in positions]
-    M = p.J * ca.SX.eye(n) + p.m * sum((ca.mtimes(J.T, J) for J in jacobians), ca.SX(n, n))
+    M = [(ca.SX.eye(n), p.J), *[(ca.jacobian(position, q), p.m) for position in positions]]
     V = p.m * p.g * sum((position[1] for position in positions), ca.SX(0))
     return _arm(Mechanical(q, momenta, M=M, V=V, G=ca.SX.eye(n), D=[p.d] * n, parameters=p, name="planar arm"), n)
 

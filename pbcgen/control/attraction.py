@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from pbcgen.control.attractivity import Situation
 from pbcgen.control.envelope import Envelope
-from pbcgen.passivity.shaping import add, congruence, inverse, multiply, shape_at, transpose
+from pbcgen.passivity.shaping import add, congruence, multiply, shape_at, transpose
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix, positive_semidefinite
+from pbcgen.proof.definite import RealMatrix, inverse, positive_semidefinite
 from pbcgen.symbolic.real import (
     BITS,
     Real,

@@ -19,9 +19,10 @@ import casadi as ca
 from pbcgen.control.transition import LinearLoop
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.passivity.local import Local
 from pbcgen.passivity.plant import Plant, Point
-from pbcgen.passivity.shaping import add, diagonal, exact_matrix, inverse, multiply
-from pbcgen.proof.definite import RealMatrix
+from pbcgen.passivity.shaping import add, diagonal, exact_matrix, multiply
+from pbcgen.proof.definite import RealMatrix, inverse
 from pbcgen.symbolic.real import BITS, ONE, ZERO, Real, precision, rational
 
 
@@ -49,27 +50,17 @@ class LoopFamily:
         """Linearise plant, gamma and eta at the target."""
         system = plant.system
         slope = ca.jacobian(gamma, system.x)
-        y = ca.mtimes(slope, system.xdot)
         mechanics = system.mechanical
         potential = ca.SX(system.m, system.n)
         if mechanics is not None and mechanics.G.shape == (system.m, system.m):
             potential = ca.jacobian(ca.gradient(mechanics.V, mechanics.q), system.x)
         signals = eta if eta is not None else ca.SX(0, 1)
-        A, B, gamma_x, potential_x, y_x, y_u, eta_x = plant.at(
-            point,
-            *map(
-                ca.densify,
-                (
-                    ca.jacobian(system.xdot, system.x),
-                    system.g,
-                    slope,
-                    potential,
-                    ca.jacobian(y, system.x),
-                    ca.jacobian(y, system.u),
-                    ca.jacobian(signals, system.x),
-                ),
-            ),
+        local = Local.of(plant, point)
+        A, B, gamma_x, potential_x, eta_x = local.at(
+            ca.jacobian(local.xdot, system.x), system.g, slope, potential, ca.jacobian(signals, system.x)
         )
+        with precision(BITS):
+            y_x, y_u = multiply(gamma_x, A), multiply(gamma_x, B)  # y = grad gamma^T x', and x' = 0 at the target
         return LoopFamily(A, B, gamma_x, eta_x if eta is not None else None, potential_x, y_x, y_u)
 
     def loop(self, law: Law) -> LinearLoop:

@@ -9,9 +9,9 @@ from fractions import Fraction
 from flint import acb, arb
 
 from pbcgen.control.transition import Basis, LinearLoop, Transition, complex_matrix, embedded, midpoints
-from pbcgen.passivity.shaping import add, diagonal, inverse, multiply
+from pbcgen.passivity.shaping import add, diagonal, multiply
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix
+from pbcgen.proof.definite import RealMatrix, inverse
 from pbcgen.proof.spectrum import Stability, schur, zero_order_hold
 from pbcgen.symbolic.real import BITS, ONE, approximate, ball, precision, rational
 

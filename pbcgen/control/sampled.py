@@ -33,6 +33,8 @@ _REACH = 10**4
 #: Cells that the scan in `check` may try: at most so many, fewer for larger loops (work: cube of the order).
 _TRIES = 1500
 _WORK = 400_000
+#: Loops beyond this order get fewer cells still: their cells are narrower, so that they reach no further.
+_SMALL = 12
 #: For larger loops a refusal names no other period and no gain change.
 _LARGEST_SEARCH = 20
 #: The periods around the design's are examined for loops of at most so many states, unless it is asked for.
@@ -306,7 +308,7 @@ def _scanned(
     size = sum(loop.sizes[:2])
     if size > _LARGEST_SCAN and not sampling.scan:
         return Scan(start, start, None, (), delay, complete=False, exhausted=True)
-    tries = max(1, min(_TRIES, _WORK // size**3))
+    tries = max(1, min(_TRIES, _WORK // size**3, _WORK * _SMALL**2 // size**5))
     found = scan(loop, end, delay=delay, start=start, tries=None if sampling.scan else tries)
     if found.exhausted and refused:
         found = scan(loop, h, delay=delay, start=start)  # a refusal names the largest period that is proved

@@ -19,10 +19,10 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.gains import Matrix
 from pbcgen.models.laws import NaturalDamping
 from pbcgen.passivity.plant import Plant
-from pbcgen.passivity.shaping import congruence, diagonal, exact_matrix, inverse, multiply, transpose
+from pbcgen.passivity.shaping import congruence, diagonal, exact_matrix, multiply, transpose
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import RealMatrix, eigenvalues, positive_definite, positive_semidefinite
+from pbcgen.proof.definite import RealMatrix, eigenvalues, inverse, positive_definite, positive_semidefinite
 from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows

@@ -6,6 +6,9 @@ left, with entries that are never zero together, make this coordinate zero; and 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from fractions import Fraction
+
 import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
@@ -15,7 +18,11 @@ from pbcgen.passivity.construction import same_formulas
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.extrema import term_bounds
 from pbcgen.proof.nonnegative import definite
-from pbcgen.symbolic.field import Quotient
+from pbcgen.symbolic.field import Field, Quotient, evaluate
+from pbcgen.symbolic.tape import OPERATIONS, Matrix, Tape
+
+#: CasADi's operation codes by the tape's names.
+_CODES = {name: code for code, (name, _) in reversed(list(OPERATIONS.items()))}
 
 
 def missing_for_definiteness(plant: Plant) -> str:
@@ -32,6 +39,8 @@ def missing_for_growth(plant: Plant) -> str:
     """Why ``p^T M^-1 p / 2 >= c |p|^2`` fails to be proved; empty when it is: M > 0 and bounded."""
     mechanics = plant.system.mechanical
     assert mechanics is not None
+    if _by_factors(plant, mechanics) and _bounded(plant, mechanics):
+        return ""
     missing = missing_for_definiteness(plant)
     if missing:
         return missing
@@ -41,12 +50,74 @@ def missing_for_growth(plant: Plant) -> str:
     return ""
 
 
-def _exact(plant: Plant, matrix: ca.SX) -> list[list[Quotient]] | None:
+def _bounded(plant: Plant, mechanics: Mechanics) -> bool:
+    """Whether every entry of the factors and of their weights is bounded."""
+    matrices = [matrix for pair in mechanics.factors for matrix in pair]
+    for entry in ca.vertsplit(ca.vertcat(*[ca.vec(ca.densify(matrix)) for matrix in matrices])):
+        values = _exact(plant, entry, free_angles=True)
+        if values is None:
+            return False
+        bounds = term_bounds(values[0][0], {})
+        if bounds.lo is None or bounds.hi is None:
+            return False
+    return True
+
+
+def _exact(plant: Plant, matrix: ca.SX, free_angles: bool = False) -> list[list[Quotient]] | None:
+    """The entries as exact functions, None if they cannot be; with ``free_angles`` every angle is a variable."""
     try:
-        field, (values,) = plant.exact(matrix)
+        if free_angles:
+            field, (values,) = _with_free_angles(plant, matrix)
+        else:
+            field, (values,) = plant.exact(matrix)
     except (UnsupportedOperation, ZeroDivisionError):
         return None
     return values.dense(field.const(0))
+
+
+def _with_free_angles(plant: Plant, matrix: ca.SX) -> tuple[Field, list[Matrix[Quotient]]]:
+    """The matrix with a variable in place of each argument of sin and cos.
+
+    What holds for all values of these holds for the angles too, and sums of many angles need not be expanded.
+    """
+    graph = _Graph(plant)
+    inputs = [ca.vertsplit(column) if column.numel() else [] for column in plant.symbols]
+    (rebuilt,) = plant.tape(matrix).walk(graph, inputs)
+    entries = ca.SX(*rebuilt.shape)
+    for (i, j), value in rebuilt.entries.items():
+        entries[i, j] = value
+    angles = ca.vertcat(*graph.angles.values())
+    tape = Tape.of([*plant.symbols, angles], [entries])
+    names = [*plant.names, *(f"angle {k}" for k in range(angles.numel()))]
+    return evaluate(tape, names, plant.values)
+
+
+class _Graph:
+    """The tape's operations on SX, with symbols for the arguments of sin and cos."""
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant = plant
+        self.angles: dict[int, ca.SX] = {}
+        self._arguments: list[ca.SX] = []  # kept, so that their identities stay theirs
+
+    def const(self, value: Fraction) -> ca.SX:
+        return self.plant.number(value)
+
+    def _angle(self, a: ca.SX) -> ca.SX:
+        self._arguments.append(a)
+        return self.angles.setdefault(a.element_hash(), ca.SX.sym(f"angle{len(self.angles)}"))
+
+    def sin(self, a: ca.SX) -> ca.SX:
+        return ca.sin(self._angle(a))
+
+    def cos(self, a: ca.SX) -> ca.SX:
+        return ca.cos(self._angle(a))
+
+    def __getattr__(self, name: str) -> Callable[..., ca.SX]:
+        code = _CODES.get(name)
+        if code is None:
+            raise UnsupportedOperation(f"the operation `{name}` is not followed")
+        return lambda *operands: ca.SX.unary(code, *operands) if len(operands) == 1 else ca.SX.binary(code, *operands)
 
 
 def _by_factors(plant: Plant, mechanics: Mechanics) -> bool:
@@ -85,5 +156,5 @@ def _rows(J: ca.SX) -> list[dict[int, ca.SX]]:
 def _zero_with_the_rest(plant: Plant, rows: list[dict[int, ca.SX]], left: set[int], k: int) -> bool:
     """Whether v_k = 0 follows from ``J v = 0`` where only the coordinates in ``left`` may differ from zero."""
     alone = [row[k] for row in rows if set(row) & left == {k}]
-    square = _exact(plant, ca.sumsqr(ca.vertcat(*alone))) if alone else None
+    square = _exact(plant, ca.sumsqr(ca.vertcat(*alone)), free_angles=True) if alone else None
     return square is not None and definite(square)

@@ -8,6 +8,7 @@ from fractions import Fraction
 import casadi as ca
 from flint import fmpq, fmpq_mat
 
+from pbcgen.passivity.local import Local
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
@@ -75,16 +76,6 @@ def exact_matrix(rows: tuple[tuple[Fraction, ...], ...]) -> RealMatrix:
     return [[rational(entry) for entry in row] for row in rows]
 
 
-def inverse(matrix: RealMatrix) -> RealMatrix | None:
-    """The inverse, exact or enclosed; None if it may be singular."""
-    try:
-        if all(isinstance(entry, fmpq) for row in matrix for entry in row):
-            return [list(row) for row in fmpq_mat(matrix).inv().tolist()]
-        return [list(row) for row in as_balls(matrix).inv().tolist()]
-    except ZeroDivisionError:
-        return None
-
-
 def solve(matrix: RealMatrix, right: RealMatrix) -> RealMatrix | None:
     """``matrix^-1 right``, exact or enclosed; None if the matrix may be singular."""
     try:
@@ -107,12 +98,10 @@ def shape_at(plant: Plant, point: Point, gamma: ca.SX, compensated: bool = False
     """
     system = plant.system
     kappa = tuple(-u for u in point.u)
-    total = system.S + ca.dot(gamma, -system.u)
-    if compensated and system.mechanical is not None:
-        total = ca.dot(system.mechanical.p, system.mechanical.velocity) / 2
+    local = Local.of(plant, point)
+    total = local.kinetic if compensated and system.mechanical is not None else local.S + ca.dot(gamma, -system.u)
     gradient = ca.gradient(total, system.x)
-    hessian = ca.densify(ca.jacobian(gradient, system.x))
-    first, second, slope = plant.at(point, gradient, hessian, ca.densify(ca.jacobian(gamma, system.x).T))
+    first, second, slope = local.at(gradient, ca.jacobian(gradient, system.x), ca.jacobian(gamma, system.x).T)
     symmetric = [[second[max(i, j)][min(i, j)] for j in range(system.n)] for i in range(system.n)]
     return Shape(kappa, tuple(row[0] for row in first), symmetric, slope)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from flint import arb_mat, fmpq
+from flint import arb_mat, fmpq, fmpq_mat
 
 from pbcgen.proof.claim import Status
 from pbcgen.symbolic.real import ONE, ZERO, Real, approximate, ball, in_high_precision, midpoint, rational, sign
@@ -188,3 +188,13 @@ def eigenvalues(matrix: RealMatrix) -> list[float]:
 def as_balls(matrix: RealMatrix) -> arb_mat:
     """The matrix as balls of the current precision."""
     return arb_mat([[ball(entry) for entry in row] for row in matrix])
+
+
+def inverse(matrix: RealMatrix) -> RealMatrix | None:
+    """The inverse, exact or enclosed; None if it may be singular."""
+    try:
+        if all(isinstance(entry, fmpq) for row in matrix for entry in row):
+            return [list(row) for row in fmpq_mat(matrix).inv().tolist()]
+        return [list(row) for row in as_balls(matrix).inv().tolist()]
+    except ZeroDivisionError:
+        return None
