@@ -45,6 +45,11 @@ class Model:
         formulas = Formulas.parse(lines)
         return Model(formulas, words, [rational(v) for v in named.values()], domain, target, gains, limits)
 
+    def is_constant(self, name: str) -> bool:
+        """Whether no state enters a matrix."""
+        needed = [self.formulas.part(place).instructions for place in self.formulas.outputs[name][2].values()]
+        return not any(operation == "state" for instructions in needed for operation, *_ in instructions)
+
     def vector(self, name: str) -> list[fmpq]:
         """A gain with one positive entry for each input; ``name`` or ``name_c``."""
         return self.gains.get(name, self.gains.get(f"{name}_c", [[]]))[0]

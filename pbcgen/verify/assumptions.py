@@ -10,7 +10,7 @@ from pbcgen.reading.sums import Sums
 from pbcgen.reading.system import require
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, is_definite, plus, product, transpose
-from pbcgen.symbolic.plain.values import INCREASING, NotCheckable, partial, plain, sign, variables
+from pbcgen.symbolic.plain.values import INCREASING, NotCheckable, plain, sign, variables
 
 _AMPLITUDES = ("alpha", "alpha_c", "alpha_l", "alpha_psi", "k_p")
 
@@ -42,9 +42,7 @@ class Assumptions(Sums):
     def reaches(self, claim: str) -> bool:
         """Whether the domain that the certificate states for a claim is one that is checked."""
         text = self.domain[claim]
-        constant = claim == "input-rank" and not any(
-            partial(v, k) for row in self.exact["g"] for v in row for k in range(self.n)
-        )
+        constant = claim == "input-rank" and self.model.is_constant("g")
         return text in _ELSEWHERE or (text == "all x" and (claim in _EVERYWHERE or constant)) or self.on_box(claim)
 
     def proved_equilibrium(self) -> None:

@@ -206,6 +206,16 @@ def test_claims_without_a_witness_are_recorded_not_checked():
     assert outcomes(signed(document))["assumption-1"] == "recorded"
 
 
+def test_the_rank_of_inputs_that_depend_on_the_state_is_known_at_x_star_only():
+    document = certificate_of("oscillator")
+    assert next(e["domain"] for e in document["claims"] if e["claim"] == "input-rank") == "all x"
+    model = [
+        re.sub(r"^g 4x1 2,0:\d+$", f"g 4x1 2,0:{_place(document['model'], 'state 0')}", s) for s in document["model"]
+    ]
+    assert model != document["model"]
+    assert outcomes(signed(document | {"model": model}))["input-rank"] == "fails"
+
+
 def test_an_equilibrium_on_the_edge_of_the_domain_is_none():
     """Where the model says nothing on one side, nothing can be said of stability."""
     document = certificate_of("oscillator")
