@@ -129,7 +129,7 @@ def tune(design: Design, wish: Wish | None = None, progress: Progress = None) ->
     chosen = min(passed, key=lambda a: problem.merit(a.response or before, a.abscissa or 0.0))
     assert chosen.law is not None
     return Tuning(
-        design.with_(law=chosen.law),
+        design.with_(law=chosen.law, gain_ranges=None),
         before,
         chosen,
         tuple(attempts),
@@ -165,7 +165,7 @@ def _attempt(problem: Problem, route: Route, before: Response, seeds: Sequence[L
             continue
         if progress:
             progress(f"prove, {route}")
-        derived = derive(problem.design.with_(law=rounded), None, Sampling())
+        derived = derive(problem.design.with_(law=rounded, gain_ranges=None), None, Sampling())
         failed = _failed(problem, route, derived)
         if failed is None:
             return _described(problem, route, rounded, derived, floor)

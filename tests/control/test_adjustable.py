@@ -228,3 +228,15 @@ def test_the_range_that_is_reported_is_that_of_all_settings():
     law = DynamicExtension(alpha=2, beta=6, K_c=12, R_c=1)
     design = load("elastic_pendulum").with_(law=law, gain_ranges={"alpha": (2, "2.5")})
     assert pipeline.check(design).derived["input_intervals"] == [[-2.5, 2.5]]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_any_setting_of_a_proved_box_passes_as_a_design_of_its_own(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    box = {"q1": (-2, 0), "q2": (0, 1.5), "q3": (0, 0.8)}
+    arm = load("pera")
+    assert adjustable(arm.with_(target_box={**box, "q2": (0, "1.6")})).status is Status.PROVED
+    target = {name: round(float(rng.uniform(*bounds)), 6) for name, bounds in box.items()}
+    own = {c.claim: c.status for c in pipeline.check(arm.with_(target=target)).claims}
+    needed = ("equilibrium", "measurability", "saturation", "asymptotically-stable", "sampled-stable")
+    assert all(own[name] is Status.PROVED for name in needed)
