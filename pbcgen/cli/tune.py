@@ -174,6 +174,9 @@ def _show(console: Console, tuning: Tuning, output: Path | None, plot: Path | No
         console.print(f"\nroute {attempt.route} ({mark})", style="bold")
         if attempt.response is not None and attempt.abscissa is not None:
             console.print(f"  {_figures(attempt.response)}, spectral abscissa {attempt.abscissa:.4g} 1/s")
+        if attempt is not tuning.chosen and attempt.law is not None and attempt.law == tuning.chosen.law:
+            console.print("  the same gains as on the route that was chosen")
+            continue
         for line in attempt.active:
             console.print(f"  active: {line}", soft_wrap=True)
         for line in attempt.notes:
@@ -183,7 +186,9 @@ def _show(console: Console, tuning: Tuning, output: Path | None, plot: Path | No
     for path, what in ((output, "Law"), (plot, "Picture")):
         if path is not None:
             console.print(f"{what}: {path}", soft_wrap=True)
-    console.print("\nNext: put the law into the model file, then pbcgen check")
+    console.print(
+        "\nNext: put the law into the model file, then pbcgen check, and pbcgen robust for noise and friction"
+    )
 
 
 def _figures(found: Any) -> str:
