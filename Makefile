@@ -46,7 +46,7 @@ test: lint ## lint, types and tests
 	$(BIN)/python -m pytest -n 2
 
 unit: env ## the tests without those of whole systems: no compiler runs, emulation, browser, site or installation
-	$(BIN)/python -m pytest -n 2 -m "not system and not slow"
+	$(BIN)/python -m pytest -n 2 -m "not system"
 
 lint: env ## style and types
 	$(BIN)/ruff check

@@ -174,6 +174,7 @@ def test_bad_ranges_are_named(options, message: str) -> None:
         RLC.with_(**options)
 
 
+@pytest.mark.system
 def test_the_c_moves_the_plant_to_another_target() -> None:
     design = RLC.with_(target_box=BOX)
     report = pipeline.check(design)
@@ -198,6 +199,7 @@ def test_the_c_moves_the_plant_to_another_target() -> None:
         assert controller.step(x3=float("nan"))["u"] == pytest.approx(2.95, abs=1e-6)  # -kappa of this target
 
 
+@pytest.mark.system
 def test_validation_tries_targets_and_gains() -> None:
     design = RLC.with_(target_box=BOX, gain_ranges={"alpha": ("0.04", "0.0485")})
     validation = pipeline.validate(design, steps=200)
@@ -207,6 +209,7 @@ def test_validation_tries_targets_and_gains() -> None:
     assert validation.as_json()["settings"]["mismatches"] == 0
 
 
+@pytest.mark.system
 def test_a_start_without_a_jump_gives_the_equilibrium_input() -> None:
     from pbcgen.emit import Extras
 

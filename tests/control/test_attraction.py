@@ -62,6 +62,7 @@ def test_a_globally_stable_design_has_the_whole_space():
     assert found.contains([1e6, -1e6, 3])
 
 
+@pytest.mark.system
 def test_without_a_lyapunov_function_there_is_no_region():
     found = region(check(load("coupling_device")), 1000)
     assert found.status == "UNDECIDED"

@@ -146,6 +146,7 @@ def test_the_reference_designs_that_are_global(name):
     assert claims["globally-asymptotically-stable"].status == "PROVED"
 
 
+@pytest.mark.system
 def test_the_coupling_device_is_global_when_theta_is_met_and_open_with_the_printed_gains():
     design = load("coupling_device")
     printed = {c.claim: c for c in check(design).claims}

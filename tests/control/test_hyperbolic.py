@@ -58,7 +58,7 @@ def test_large_arguments_give_one_and_tiny_ones_themselves(precision, dtype):
     np.testing.assert_array_equal(evaluate(tiny), tiny)
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.parametrize("flags", [["-ffp-contract=off"], ["-ffp-contract=fast", "-mfma"]])
 def test_every_float_is_within_the_stated_bounds(flags, tmp_path):
     root = Path(__file__).resolve().parents[2]

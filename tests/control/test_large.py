@@ -45,6 +45,7 @@ def test_a_ladder_of_sixty_states_is_proved_globally() -> None:
     assert "other sample periods were not examined" in claims["sampled-stable"].evidence
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("broken", [{"resistance": "-5"}, {"leakage": "-0.2"}, {"resistance": "-0.1", "where": 29}])
 def test_a_ladder_with_one_negative_resistance_is_not_proved(broken: dict[str, object]) -> None:
     claims = {c.claim: c for c in check(ladder(60, **broken)).claims}  # type: ignore[arg-type]

@@ -164,6 +164,7 @@ def test_the_analysed_step_is_the_step_that_is_emitted(model):
     assert np.allclose(exact, emitted, rtol=1e-9, atol=1e-9 * np.max(np.abs(emitted)))
 
 
+@pytest.mark.system
 def test_gains_beyond_double_precision_are_linearised_exactly():
     # alpha beta K_c is lost in a product of doubles: rounded, the loop would have an eigenvalue of +1.8e7
     design = two_masses(7, 3).with_(law=DynamicExtension(alpha=4, beta="1e30", K_c=7, R_c=3))
@@ -266,12 +267,14 @@ def test_jitter_has_a_common_storage(rlc):
     assert 0 < beyond.share < Fraction(381, 300) - 1
 
 
+@pytest.mark.system
 def test_half_a_period_of_jitter_on_the_coupling_device():
     claim = claims(load("coupling_device"), Sampling(jitter=Fraction(1, 2)))["sampled-stable"]
     assert claim.status is Status.PROVED
     assert "one quadratic storage serves all h in [0.0005, 0.0015] s" in claim.evidence
 
 
+@pytest.mark.system
 def test_the_storage_of_jitter_decreases_along_random_periods():
     found = derive(load("coupling_device"))
     h, loop = found.design.sample_period, found.situation.loop

@@ -79,6 +79,7 @@ def settling(design, duration):
     return response(trial.run(found.law, duration)).settling
 
 
+@pytest.mark.system
 def test_rlc_at_10_khz_is_stable_with_margin():
     design = load("rlc")
     tuning = tune(design, Wish(effort=40, margin=Fraction(2)))
@@ -92,6 +93,7 @@ def test_rlc_at_10_khz_is_stable_with_margin():
     assert any("u <= 3.1" in line for line in tuning.chosen.active)
 
 
+@pytest.mark.system
 def test_gains_meet_a_wish_on_the_pendulum():
     design = load("elastic_pendulum")
     tuning = tune(design, Wish(routes=("lyapunov",), settling=1.0, effort=120))
@@ -99,6 +101,7 @@ def test_gains_meet_a_wish_on_the_pendulum():
     assert settling(tuning.design, 5) < 1.5 < settling(design, 10)
 
 
+@pytest.mark.system
 def test_two_inputs_and_a_polyhedron():
     design = cart_pair()
     tuning = tune(design, Wish(routes=("linearisation",), effort=80))

@@ -174,6 +174,7 @@ def test_an_interrupted_write_can_be_repeated(package, tmp_path):
     assert (tmp_path / "Makefile").exists()
 
 
+@pytest.mark.system
 def test_the_bytes_depend_on_neither_hash_seed_nor_locale():
     program = (
         "import hashlib, json, hand_made_laws as laws\nfrom pbcgen.emit import render\n"

@@ -61,6 +61,7 @@ def test_all_figures_are_in_the_json() -> None:
     assert document["outputs"][0]["interval"] == ["-3/4", "3/4"]
 
 
+@pytest.mark.system
 def test_validation_is_reproducible() -> None:
     assert validated().as_json() == validated().as_json()
 
@@ -104,6 +105,7 @@ def test_an_output_that_is_no_number_is_outside(value: float) -> None:
     assert not force.passed
 
 
+@pytest.mark.system
 def test_a_law_for_another_sample_period_does_not_converge() -> None:
     loop = oscillator.loop()
     right, _ = observe_order(loop, rediscretised, oscillator.PERIOD, 200)
