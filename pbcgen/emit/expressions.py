@@ -137,6 +137,7 @@ FORMS: Final[dict[str, Form]] = {
 _FORMS: Final = FORMS | {
     "least": Form("({0} < {1}) ? {0} : {1}", Level.SELECTION, (Level.SUM, Level.SUM)),
     "largest": Form("({0} > {1}) ? {0} : {1}", Level.SELECTION, (Level.SUM, Level.SUM)),
+    "limit": Form("{p}_limit({0}, {1})", helper="limit"),  # largest of -{1} and the least of {0} and {1}
 }
 
 #: Operations whose value is their first operand.
@@ -189,6 +190,10 @@ class Graph:
         if operation in _WITH_LITERAL and any(operand.value is not None for operand in operands):
             first, last = sorted(operands, key=lambda operand: operand.value is not None)
             operation, operands = _WITH_LITERAL[operation], (first, last)
+        if operation == "largest" and operands[0].operation == "least":
+            inner, bound = operands[0].operands
+            if bound.value is not None and operands[1].value == -bound.value < 0:
+                operation, operands = "limit", (inner, bound)
         return self._unique((operation, *map(id, operands)), Node(operation, operands))
 
     def _unique(self, key: object, node: Node) -> Node:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from fractions import Fraction
 
+import casadi as ca
 import hand_made_laws as laws
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from pbcgen.control.law import Signal
 from pbcgen.control.step import ReferenceStep, StepStatus
 from pbcgen.emit import render
 from pbcgen.run.wrapper import Controller
+from pbcgen.symbolic.tape import Tape
 
 
 @pytest.fixture(scope="module", params=["float", "double"])
@@ -109,3 +112,22 @@ def test_packages_without_settings_say_nothing_of_them():
     package = render(laws.two_channels(), laws.PROVENANCE)
     assert "SETTING" not in "".join(package.files.values())
     assert "settings" not in json.loads(package.files["manifest.json"])
+
+
+def test_a_symmetric_limit_is_one_comparison_with_the_values_of_fmin_and_fmax():
+    law = laws.adjustable()
+    m, xi, t = ca.SX.sym("m", 1), ca.SX.sym("xi", 3), ca.SX.sym("t", 1)
+    limited = ca.fmax(-2.5, ca.fmin(2.5, m + xi[0]))
+    outside = ca.fmin(2.5, ca.fmax(-2.5, m + xi[0]))  # gives -2.5 for NaN: another function
+    update = Tape.of([m, xi, t], [ca.vertcat(limited, xi[1], xi[2]), outside + t])
+    law = replace(law, update=update, intervals=((Fraction(-4), Fraction(6)),))
+    package = render(law, laws.PROVENANCE)
+    assert package.files["adjustable.c"].count("= adjustable_limit(") == 1
+    step = ReferenceStep(law)
+    values = np.array([0, -0.0, 1, -1, 2.5, -2.5, 2.6, -2.6, 1e30, -1e30], np.float32)
+    states = np.tile(step.initial, (len(values), 1))
+    with Controller.of_package(package) as controller:
+        xi_next, u, _ = controller.step_many(values[:, None], states)
+    expected, u_expected, _ = step(values[:, None], states)
+    assert xi_next.tobytes() == expected.tobytes()
+    assert u.tobytes() == u_expected.tobytes()
