@@ -12,7 +12,7 @@ from pbcgen.cli.terminal import progress
 from pbcgen.errors import NotProved
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    pass
 
 
 def register(app: typer.Typer) -> None:
@@ -56,7 +56,7 @@ def run(
     Raises ModelError for a model that is not right.
     """
     from pbcgen import pipeline
-    from pbcgen.cli.verdicts import show_for_all_parameters, show_report
+    from pbcgen.cli.verdicts import show_report
     from pbcgen.control.sampled import Sampling
     from pbcgen.models.exact import exact
     from pbcgen.models.loader import load
@@ -66,14 +66,8 @@ def run(
         report = pipeline.check(load(model), progress=tell, sampling=sampling)
         wide = pipeline.for_all_parameters(report) if every else None
     more = {} if wide is None else {"for_all_parameters": [claim.as_json() for claim in wide]}
-
-    def show(console: Console) -> None:
-        show_report(console, report, model)
-        if wide is not None:
-            show_for_all_parameters(console, report, wide)
-
     return Outcome(
-        show=show,
+        show=lambda console: show_report(console, report, model, wide),
         document=report.as_json() | more if json else None,
         exit_code=0 if report.emittable else NotProved.exit_code,
     )

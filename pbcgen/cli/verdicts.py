@@ -48,8 +48,8 @@ _QUANTITIES = (
 )
 
 
-def show_report(console: Console, report: Report, model: str) -> None:
-    """Print the report; ``model`` is how the user called it."""
+def show_report(console: Console, report: Report, model: str, wide: Sequence[Claim] | None = None) -> None:
+    """Print the report; ``model`` is how the user called it, ``wide`` what holds for all positive parameters."""
     console.print(f"{report.design.name}: law {report.design.law.name}, h = {_seconds(report)}", style="bold")
     console.print()
     console.print(verdict_table(report))
@@ -57,19 +57,21 @@ def show_report(console: Console, report: Report, model: str) -> None:
     if any(True for _ in _derived(report)):
         console.print(derived_table(report))
         console.print()
+    if wide is not None:
+        _show_for_all_parameters(console, report, wide)
     console.print(meaning(report), style="bold green" if report.emittable else "bold red")
     for line in next_steps(report, shlex.quote(model)):
         console.print(line, soft_wrap=True)
 
 
-def show_for_all_parameters(console: Console, report: Report, claims: Sequence[Claim]) -> None:
+def _show_for_all_parameters(console: Console, report: Report, claims: Sequence[Claim]) -> None:
     """Print what was decided for all positive values of the parameters."""
-    console.print()
     names = ", ".join(report.design.system.parameters.names)
     console.print(f"for all positive {names}; gains and target as they are", style="bold")
     console.print()
     console.print(verdict_table(report, claims))
     console.print("This asks more than the check at the values, and lets no code out.")
+    console.print()
 
 
 def verdict_table(report: Report, claims: Sequence[Claim] | None = None) -> Table:
