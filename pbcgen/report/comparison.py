@@ -57,7 +57,7 @@ def plot_tuning(
                     axes.axvline(end, color=colour, linestyle=":", linewidth=1.2)
             axes.set_ylabel(f"error of {name}")
             axes.margins(x=0)
-            axes.legend(loc="upper right")
+            axes.legend(loc="best")
         axes.set_xlabel("time [s]")
     return figure
 
