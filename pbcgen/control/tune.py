@@ -50,7 +50,7 @@ _ROUNDS = 3
 _SHORTLIST = 10
 
 #: Boxes for the search of a level set that is attracted to the target.
-_REGION_BOXES = 5000
+_REGION_BOXES = 1500
 
 
 @dataclass(frozen=True)
