@@ -241,8 +241,9 @@ def _explain(figure: Figure) -> None:
         Line2D([], [], color=dark, linewidth=1.4, label="sampled controller"),
         Line2D([], [], color=_LEVEL_COLOUR, linewidth=1.1, linestyle="-.", label="target"),
         Line2D([], [], color=_LEVEL_COLOUR, linewidth=1.1, linestyle="--", label="the input is always within"),
-        Line2D([], [], color=_LIMIT_COLOUR, linewidth=1.8, linestyle=":", label="limit of the actuator"),
     ]
+    if any(line.get_linestyle() == ":" for axes in figure.axes for line in axes.lines):
+        handles.append(Line2D([], [], color=_LIMIT_COLOUR, linewidth=1.8, linestyle=":", label="limit of the actuator"))
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
 
 
