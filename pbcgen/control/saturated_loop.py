@@ -184,7 +184,7 @@ def saturated_loop(found: Derivation) -> SaturatedLoop | None:
     F = ca.vertcat(xdot, drift)
     symbols = ca.vertcat(*numbers.symbols)
     tape = Tape.of(
-        [system.x, ca.vertcat(*zeta), all_t, ca.SX(system.parameters.symbols), symbols],
+        [system.x, ca.vertcat(*zeta), all_t, found.plant.parameter_symbols, symbols],
         [ca.densify(ca.jacobian(F, z)), ca.densify(ca.jacobian(F, all_t))],
     )
     names = (*system.state_names, *(name.replace("x_", "z_") for name in found.graph.names))
@@ -194,7 +194,7 @@ def saturated_loop(found: Derivation) -> SaturatedLoop | None:
         tape,
         numbers.values,
         [*point.x, *[ZERO] * (len(names) - n)],
-        reals([plant.values[name] for name in system.parameters.names]),
+        reals([plant.values[name] for name in found.plant.parameter_names]),
         n,
         beta,
         tuple(range(n, len(names))),
@@ -221,8 +221,8 @@ def _lift(found: Derivation, moved: ca.SX, numbers: _Numbers) -> Array | None:
     slope = ca.jacobian(moved, system.x)
     if ca.depends_on(ca.vec(slope), system.x):
         return None
-    inputs = [ca.SX(system.parameters.symbols), ca.vertcat(*numbers.symbols)]
-    values = [[float(found.plant.values[name]) for name in system.parameters.names], numbers.floats()]
+    inputs = [found.plant.parameter_symbols, ca.vertcat(*numbers.symbols)]
+    values = [[float(found.plant.values[name]) for name in found.plant.parameter_names], numbers.floats()]
     return np.vstack([np.eye(system.n), np.array(ca.Function("slope", inputs, [ca.densify(slope)])(*values))])
 
 
@@ -230,10 +230,10 @@ def _start(found: Derivation, moved: ca.SX, numbers: _Numbers) -> Array:
     """z of the initial state, the controller's states being zero."""
     assert found.point is not None
     system = found.plant.system
-    parameters = ca.SX(system.parameters.symbols)
+    parameters = found.plant.parameter_symbols
     signals = ca.Function("signals", [system.x, parameters, ca.vertcat(*numbers.symbols)], [moved])
     values = [
-        [float(found.plant.values[name]) for name in system.parameters.names],
+        [float(found.plant.values[name]) for name in found.plant.parameter_names],
         numbers.floats(),
     ]
     start, star = [float(v) for v in found.design.initial], [approximate(v) for v in found.point.x]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from flint import arb, arb_mat
 
-from pbcgen import DynamicExtension, Mechanical
+from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical
 from pbcgen.control import common_storage
 from pbcgen.control.derive import derive
 from pbcgen.control.region import _decreases, certified_region
@@ -114,3 +114,15 @@ def test_a_region_stays_inside_the_declared_domain():
     )
     wide, bounded = (certified_region(derive(d)) for d in (design, design.with_(system=narrow, target=[1, 1])))
     assert wide.reach[0] > 0.25 >= bounded.reach[0] > 0.2
+
+
+def test_a_gamma_with_a_fraction_that_is_no_decimal_has_a_region():
+    """x' = F grad S + g u with F = [[-2, 1], [-1, -1]]: gamma = -(F^-1 g)^T x = (x + y)/3, where 1/3 is no decimal."""
+    x, y, u = (ca.SX.sym(name) for name in "xyu")
+    S = x**2 / 2 + y**2 / 2 + y**4 / 4
+    s = y + y**3
+    system = AffineSystem([x, y], [u], [-2 * x + s, -x - s], [0, 1], S)
+    law = DynamicExtension(alpha=2, beta=3, K_c=4, R_c=1)
+    found = derive(Design(system, {"y": "0.3"}, law, sample_period="1e-3", name="thirds"))
+    assert "/3" in str(found.derived["gamma"])
+    assert certified_region(found) is not None
