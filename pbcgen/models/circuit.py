@@ -14,6 +14,7 @@ from pbcgen.models.expressions import (
     check_symbols,
     depends,
     expression,
+    named_numbers,
     never_positive_definite,
     shaped,
     square,
@@ -107,6 +108,10 @@ class Circuit:
         capacitance = _storage(C, v_C, "the capacitance C", parameters)
         inductance, parameters = named_constants(inductance, "L", parameters)
         capacitance, parameters = named_constants(capacitance, "C", parameters)
+        v_R, parameters = _named(v_R, (i_L.numel(), 1), "v_R", parameters)
+        P_R, parameters = _named(P_R, (1, 1), "P_R", parameters)
+        i_G, parameters = _named(i_G, (v_C.numel(), 1), "i_G", parameters)
+        P_G, parameters = _named(P_G, (1, 1), "P_G", parameters)
         parts = _brayton(
             i_L,
             v_C,
@@ -162,6 +167,17 @@ def _interconnection(Gamma: Any, i_L: ca.SX, v_C: ca.SX, parameters: Parameters)
     check_symbols(matrix, (parameters.symbols,), "the interconnection Gamma", ca.vertcat(i_L, v_C), "the state")
     check_finite(matrix, "the interconnection Gamma")
     return matrix
+
+
+def _named(law: Any, shape: tuple[int, int], label: str, parameters: Parameters) -> tuple[Any, Parameters]:
+    """A resistive law or potential with its numbers as parameters, so that its derivatives are exact."""
+    if law is None:
+        return None, parameters
+    rows = []
+    for row in ca.vertsplit(shaped(law, shape, label)):
+        exact, parameters = named_numbers(row, label, parameters)
+        rows.append(exact)
+    return ca.vertcat(*rows), parameters
 
 
 def _resistive(

@@ -14,6 +14,7 @@ from pbcgen.models.expressions import (
     check_symbols,
     depends,
     expression,
+    named_numbers,
     names,
     never_positive_definite,
     shaped,
@@ -97,6 +98,7 @@ class Mechanical:
         if M is not None and M_inv is None:
             given = ca.sparsify(square(M, q.numel(), "the inertia matrix M"))
             M, parameters = named_constants(given, "M", parameters)
+        V, parameters = named_numbers(shaped(V, (1, 1), "the potential energy V"), "V", parameters)
         parts = _mechanics(q, p, M=M, M_inv=M_inv, V=V, D=D, G=G, parameters=parameters, factors=factors)
         u = input_symbols(inputs, parts.G.shape[1])
         system = _affine(

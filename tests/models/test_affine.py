@@ -117,15 +117,25 @@ def test_a_system_does_not_change(parts):
         system.measured["y"] = ca.SX(0)
 
 
+def _stiff_energy(q, K, w):
+    """Its Hessian has K - w, which is K in double precision for K = 1e13, w = 9e-4: a verdict on it would be wrong."""
+    return K * (q[0] - q[1]) ** 2 / 2 - w * q[1] ** 2 / 2
+
+
 def test_numbers_that_casadi_would_lose_in_a_sum_must_be_parameters():
-    """The Hessian of V has 1e13 - 9e-4, which is 1e13 in double precision: a verdict on it would be wrong."""
-    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
-
-    def system(K, w, parameters=None):
-        V = K * (q[0] - q[1]) ** 2 / 2 - w * q[1] ** 2 / 2
-        return Mechanical(q, p, M=ca.SX.eye(2), V=V, D=[1000, 1000], G=[[1], [0]], parameters=parameters)
-
+    q, u = ca.SX.sym("q", 2), ca.SX.sym("u")
     with pytest.raises(ModelError, match=r"declare such constants with Parameters"):
-        system(1e13, 9e-4)
+        AffineSystem(q, [u], -q, [1, 0], _stiff_energy(q, 1e13, 9e-4))
     constants = Parameters(K="1e13", w="9e-4")
-    assert system(constants.K, constants.w, constants).system.n == 4
+    energy = _stiff_energy(q, constants.K, constants.w)
+    assert AffineSystem(q, [u], -q, [1, 0], energy, parameters=constants).n == 2
+
+
+def test_numbers_in_the_potential_energy_become_parameters():
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    V = _stiff_energy(q, 1e13, 9e-4) + ca.cos(q[0]) ** 0.3 + 3 * q[1] / 4
+    system = Mechanical(q, p, M=ca.SX.eye(2), V=V, D=[1000, 1000], G=[[1], [0]]).system
+    assert sorted(map(float, system.parameters.values.values())) == [9e-4, 1e13]
+    function = ca.Function("V", [q, ca.SX(system.parameters.symbols)], [system.mechanical.V])
+    at = [0.25, -0.5]
+    assert float(function(at, system.parameters.numeric)) == pytest.approx(float(ca.Function("V", [q], [V])(at)))

@@ -14,8 +14,12 @@ Matrix = list[list[Any]]
 
 
 def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    """The sum of products."""
-    return sum((x * y for x, y in zip(a, b, strict=True)), fmpq(0))
+    """The sum of products; an exact zero leaves an exact sum exact beside finite balls."""
+    return sum((x * y for x, y in zip(a, b, strict=True) if not (_drops(x, y) or _drops(y, x))), fmpq(0))
+
+
+def _drops(x: Any, y: Any) -> bool:
+    return isinstance(x, fmpq) and x == 0 and isinstance(y, arb) and y.is_finite()
 
 
 def transpose(a: Matrix) -> Matrix:
