@@ -90,6 +90,10 @@ class Measurement:
         """A number for use in formulas."""
         if isinstance(value, fmpq) and exact_decimal(approximate(value)) == fraction(value):
             return ca.SX(approximate(value))
+        return self._symbol(value)
+
+    def _symbol(self, value: Real) -> ca.SX:
+        """A number that CasADi must not compute with: it would round quotients of parameters."""
         symbol = ca.SX.sym(f"constant_{len(self.constants)}")
         self.constants.append((symbol, value))
         return symbol
@@ -191,7 +195,13 @@ class Measurement:
             direct[name] if name in direct else self.constant(star)
             for name, star in zip(system.state_names, self.point.x, strict=True)
         ]
-        parameters = ca.vertcat(*[self.constant(rational(self.plant.values[n])) for n in self.plant.parameter_names])
+        used = {symbol.name() for symbol in ca.symvar(signal)}
+        parameters = ca.vertcat(
+            *[
+                self._symbol(rational(self.plant.values[n])) if n in used else ca.SX(0)
+                for n in self.plant.parameter_names
+            ]
+        )
         value = ca.substitute(signal, system.x, ca.vertcat(*states))
         if self.plant.parameter_names:
             value = ca.substitute(value, self.plant.parameter_symbols, parameters)
