@@ -25,12 +25,12 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.identity import canonical_text, model_hash
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.models.laws import gains as gains_of
-from pbcgen.passivity.assignable import greedy_rows
+from pbcgen.passivity.assignable import greedy_rows, residual_of
 from pbcgen.passivity.plant import Point
 from pbcgen.passivity.shaping import diagonal, exact_matrix, extended_hessian, shape_at
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import RealMatrix, positive_definite
-from pbcgen.symbolic.real import BITS, Real, approximate, fraction, lower, midpoint, precision, rational, upper
+from pbcgen.symbolic.real import BITS, Real, approximate, fraction, lower, midpoint, precision, rational, sign, upper
 from pbcgen.symbolic.tape import Tape
 from pbcgen.verify.files import FORMAT, digest
 
@@ -163,6 +163,12 @@ def _equilibrium(derivation: Derivation, claim: Claim, terms: Writing) -> dict[s
     known = {name: str(exact) for name, value in values.items() if (exact := _exactly(value)) is not None}
     unknown = {name: _decimal(midpoint(value)) for name, value in values.items() if name not in known}
     rows = _equations(derivation, point, [k for k, name in enumerate(values) if name in unknown])
+    entries = [rational(Fraction(known[name])) if name in known else value for name, value in values.items()]
+    sharp = Point(tuple(entries[: system.n]), tuple(entries[system.n :]))
+    conditions = [residual_of(c) for c in derivation.design.target.conditions]
+    (residuals,) = derivation.plant.at(sharp, ca.vertcat(system.xdot, *conditions))
+    if any(sign(row[0]) != 0 for k, row in enumerate(residuals) if k not in rows):
+        return None  # an equation that only follows from the others: the checker does not combine them
     return {"known": known, "unknown": unknown, "radius": _RADIUS, "rows": rows}
 
 

@@ -23,7 +23,7 @@ from pbcgen.symbolic.plain.matrices import (
     transpose,
     zero_order_hold,
 )
-from pbcgen.symbolic.plain.values import Dual, Field, Function, partial, plain, sign, variables
+from pbcgen.symbolic.plain.values import Dual, Field, Function, NotCheckable, partial, plain, sign, variables
 
 
 class Fails(Exception):
@@ -124,6 +124,8 @@ class System:
     def point(self) -> tuple[list[Any], list[Any]]:
         """x* and u*, which exist: by Krawczyk's test, or because all equations hold exactly."""
         witness, names = self.enclosure, [*self.states, *self.inputs]
+        if not witness:
+            raise NotCheckable("the certificate encloses no x*")
         known, unknown = ({name: rational(v) for name, v in witness[part].items()} for part in ("known", "unknown"))
         rows, centre = witness["rows"], [*unknown.values()]
         require(sorted([*known, *unknown]) == sorted(names), "x* and u* are not complete")

@@ -6,10 +6,12 @@ import json
 import re
 from dataclasses import replace
 
+import casadi as ca
 import pytest
 from certificates import IDLE, certificate_of, outcomes, signed, spoiled
 from designs import DESIGNS
 
+from pbcgen import AffineSystem, Design, DynamicExtension
 from pbcgen.control import stability_witness
 from pbcgen.control.certificate import certificate
 from pbcgen.control.derive import derive
@@ -318,3 +320,16 @@ def test_the_damping_that_sampling_consumes_must_be_there():
     assert outcomes(with_witness(document, SAMPLED, Lambda=more))[SAMPLED] == "fails"
     slow = document | {"model": [line.replace("sample period 1/1000", "sample period 3") for line in document["model"]]}
     assert outcomes(signed(slow))[SAMPLED] == "fails"
+
+
+def test_an_equation_that_follows_from_the_others_is_recorded_and_not_refused():
+    """y + e^y = 1/2 has no rational root, and u* = y + e^y + x = 1 follows: the checker does not combine equations."""
+    x, y, u = (ca.SX.sym(name) for name in "xyu")
+    pull = y + ca.exp(y)
+    system = AffineSystem([x, y], [u], [-pull - x, pull - x], [1, 0], x**2 / 2 + y**2 / 2 + ca.exp(y))
+    law = DynamicExtension(alpha=2, beta=3, K_c=4, R_c=1)
+    derivation = derive(Design(system, {"x": "0.5"}, law, sample_period="1e-3", name="combined"))
+    assert {c.claim: c.status for c in derivation.claims}["equilibrium"] is Status.PROVED
+    found = outcomes(json.loads(json.dumps(certificate(derivation))))
+    assert found["equilibrium"] == "recorded"
+    assert "fails" not in found.values()
