@@ -14,6 +14,7 @@ from pbcgen.control.amplitudes import Room, blocking, largest_amplitudes, rooms
 from pbcgen.control.closed_loop import until_settled
 from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.family import LoopFamily
+from pbcgen.control.gain_scale import natural_scale
 from pbcgen.control.gain_space import Space, base_law, rebuilt, totals
 from pbcgen.control.linearisation import Figures, Spectrum
 from pbcgen.control.lyapunov_period import LyapunovPeriods, lyapunov_periods
@@ -82,6 +83,8 @@ class Problem:
 
     Attributes:
         design, wish, derivation, law: what was given, the law with resolved gains.
+        origin: the gains around which others are sought: those of the law, or of the plant's own size where the loop
+            with the given ones is not stable.
         trial, family, spectrum, shape, structure: what the candidates are tried and tested with.
         limits, amplitudes: the actuator limits, and the sums of the amplitudes that they leave.
         duration: of the trial runs of the search, seconds. horizon: within which a loop must settle.
@@ -91,6 +94,7 @@ class Problem:
     wish: Wish
     derivation: Derivation
     law: Law
+    origin: Law
     trial: Trial
     family: LoopFamily
     spectrum: Spectrum
@@ -129,8 +133,11 @@ class Problem:
         structure = storage.structure if storage.proved else None
         length = found.loop.duration if found.loop is not None else until_settled(None, design.sample_period)
         duration = length if wish.settling is None else max(4 * wish.settling, 20 * float(design.sample_period))
+        given_loop = spectrum.figures(family.loop(law), design.sample_period, wish.margin)
+        holds = given_loop is not None and given_loop.radius < 1 and given_loop.abscissa < 0
+        origin = law if holds else natural_scale(family, law, design.sample_period, length)
         return Problem(
-            design, wish, found, law, trial, family, spectrum, shape, structure, limits, amplitudes,
+            design, wish, found, law, origin, trial, family, spectrum, shape, structure, limits, amplitudes,
             min(duration, length * 2),
             max(min(duration, length * 2), length),
         )  # fmt: skip
@@ -148,7 +155,7 @@ class Problem:
 
     def space(self, common: bool) -> Space:
         """The box in which gains are sought."""
-        return Space(self.law, self.amplitudes, self.design.system.m, common)
+        return Space(self.origin, self.amplitudes, self.design.system.m, common)
 
     @property
     def push(self) -> tuple[float, ...] | None:

@@ -9,6 +9,7 @@ import pytest
 
 from pbcgen import (
     AffineSystem,
+    Circuit,
     Design,
     DynamicExtension,
     Integral,
@@ -114,6 +115,25 @@ def test_two_inputs_and_a_polyhedron():
 def test_a_system_that_is_not_mechanical():
     tuning = tune(heated_tank(), Wish(effort=40))
     assert pipeline.check(tuning.design).emittable
+
+
+def test_gains_far_from_the_size_of_the_plant_are_no_obstacle():
+    """gamma = -E (r i + v) / L is of the order 1e5 here; the given beta = 1 is a million times too steep."""
+    i, v = ca.SX.sym("i"), ca.SX.sym("v")
+    model = Circuit([i], [v], L=[0.001], C=[0.001], Gamma=[[1]], v_R=[i / 5], i_G=[v / 10],
+                    g_L=[-24], inputs=["duty"], measured=["i", "v"])  # fmt: skip
+    design = Design(
+        model,
+        target={"v": 12},
+        law=DynamicExtension(alpha="0.2", beta=1, K_c=1, R_c=1),
+        limits=Limits({"duty": (0, 1)}),
+        sample_period="5e-5",
+    )
+    before = {c.claim: c.status for c in derive(design).claims}
+    assert before["sampled-stable"] is Status.REFUTED
+    found = tune(design, Wish(effort=40, routes=("lyapunov",)))
+    after = {c.claim: c.status for c in derive(found.design).claims}
+    assert after["sampled-stable"] is after["saturation"] is Status.PROVED
 
 
 def test_gains_that_do_not_settle_are_not_recommended():
