@@ -64,6 +64,7 @@ def gain_change(
     another claim.
     """
     best: tuple[Fraction, GainChange] | None = None
+    tried = FACTORS if sum(family.loop(law).sizes[:2]) <= _LARGE else FACTORS[1::3]
     for move in _MOVES:
         if isinstance(law, PassiveOutput) and set(move) != {"alpha*beta"}:
             continue
@@ -77,8 +78,9 @@ def gain_change(
                 return False
             return spectral(family.loop(candidate), h, delay).status is Status.PROVED
 
-        t = _mildest(good)
-        if t is not None and (best is None or t > best[0]):
+        milder = [t for t in tried if best is None or t > best[0]]
+        t = next((t for t in milder if good(t)), None)  # each is tested: the good ones need not be an interval
+        if t is not None:
             best = t, GainChange(factors(t), scaled(law, factors(t)))
     return None if best is None else best[1]
 
@@ -89,8 +91,5 @@ def _plain(value: Fraction) -> str:
 
 #: Factors that are tried: 1/2 to 1/500 in short decimals, mildest first.
 FACTORS = tuple(Fraction(n, 10**k) for k in (1, 2, 3) for n in ((8, 5, 4, 2) if k == 1 else (10, 8, 5, 4, 2)))
-
-
-def _mildest(good: Callable[[Fraction], bool]) -> Fraction | None:
-    """The largest factor of the list that is good; each is tested, since the good ones need not be an interval."""
-    return next((t for t in FACTORS if good(t)), None)
+#: For loops with more states only every third of them is tried.
+_LARGE = 50

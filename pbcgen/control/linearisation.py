@@ -8,7 +8,7 @@ from fractions import Fraction
 
 from flint import acb, arb
 
-from pbcgen.control.transition import Basis, LinearLoop, Transition, complex_matrix, embedded, midpoints
+from pbcgen.control.transition import Basis, LinearLoop, Transition, complex_matrix, midpoints
 from pbcgen.passivity.shaping import add, diagonal, multiply
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, inverse
@@ -17,6 +17,10 @@ from pbcgen.symbolic.real import BITS, ONE, approximate, ball, precision, ration
 
 #: Periods of the estimate grow by this factor.
 _RATIO = 1.4
+#: Single periods are examined by this factor up or down, then in between until they are as close as this.
+_LEAP, _CLOSE = 4, 1.02
+#: The shortest that is examined, as a share of the first one.
+_SHORTEST = 1e-12
 
 
 def spectral(loop: LinearLoop, h: Fraction, delay: Fraction = Fraction(0)) -> Stability:
@@ -52,10 +56,10 @@ def period_matrix(loop: LinearLoop, h: Fraction) -> RealMatrix:
 
 
 def delayed_matrix(loop: LinearLoop, h: Fraction, delay: Fraction = Fraction(0)) -> RealMatrix:
-    """M(h) with an input delay; in modal coordinates of plant and filter, whose imaginary parts are embedded."""
+    """M(h) with an input delay in the coordinates (x, xi, past inputs), entries enclosed."""
     with precision(BITS):
-        M = Transition(loop, delay).jet(ball(rational(h))).c0
-        return [list(row) for row in embedded(M)]
+        transition = Transition(loop, delay)
+        return [list(row) for row in transition.real(transition.jet(ball(rational(h)))).c0.tolist()]
 
 
 @dataclass(frozen=True)
@@ -136,3 +140,51 @@ def estimate(loop: LinearLoop, start: Fraction, end: Fraction) -> Fraction | Non
         middle = ((good + bad) / 2).limit_denominator(10**15)
         good, bad = (middle, bad) if stable(middle) else (good, middle)
     return good
+
+
+@dataclass(frozen=True)
+class Examined:
+    """Single periods that were decided, without what lies between them.
+
+    Attributes:
+        stable: the longest one that is proved stable, or None.
+        next: the shortest examined one beyond it, which is not; None if there is none.
+    """
+
+    stable: Fraction | None
+    next: Fraction | None
+
+
+def examine(loop: LinearLoop, h: Fraction, end: Fraction, delay: Fraction = Fraction(0)) -> Examined:
+    """Decide single periods from h on: shorter ones until one is stable, longer ones until one is not, then between.
+
+    For loops that are too large to scan. Each period is a number of at most three digits, or h.
+    """
+
+    def stable(t: Fraction) -> bool:
+        return spectral(loop, t, delay).status is Status.PROVED
+
+    good: Fraction | None = h if stable(h) else None
+    bad: Fraction | None = None if good else h
+    while bad is not None and good is None:
+        lower = _three_digits(float(bad) / _LEAP)
+        if lower < h * Fraction(_SHORTEST):
+            return Examined(None, bad)
+        good, bad = (lower, bad) if stable(lower) else (None, lower)
+    while good is not None and bad is None:
+        upper = _three_digits(float(good) * _LEAP)
+        if upper > end:
+            return Examined(good, None)
+        good, bad = (upper, None) if stable(upper) else (good, upper)
+    assert good is not None
+    assert bad is not None
+    while bad > good * Fraction(_CLOSE):
+        middle = _three_digits(math.sqrt(good * bad))
+        if not good < middle < bad:
+            break
+        good, bad = (middle, bad) if stable(middle) else (good, middle)
+    return Examined(good, bad)
+
+
+def _three_digits(value: float) -> Fraction:
+    return Fraction(f"{value:.3g}")

@@ -18,7 +18,7 @@ from pbcgen.control.common_storage import solver_available
 from pbcgen.control.family import LoopFamily
 from pbcgen.control.gain_change import FACTORS, GainChange, gain_change
 from pbcgen.control.jitter import Jitter, jitter
-from pbcgen.control.linearisation import estimate, spectral
+from pbcgen.control.linearisation import Examined, estimate, examine, spectral
 from pbcgen.control.lyapunov_period import LyapunovPeriods, lyapunov_periods
 from pbcgen.control.scan import Scan, scan
 from pbcgen.control.transition import LinearLoop
@@ -35,10 +35,12 @@ _TRIES = 1500
 _WORK = 400_000
 #: Loops beyond this order get fewer cells still: their cells are narrower, so that they reach no further.
 _SMALL = 12
-#: For larger loops a refusal names no other period and no gain change.
+#: For larger loops the scan is not finished for a refusal, and single periods are examined instead.
 _LARGEST_SEARCH = 20
-#: The periods around the design's are examined for loops of at most so many states, unless it is asked for.
+#: All periods around the design's are examined for loops of at most so many states, unless it is asked for.
 _LARGEST_SCAN = 24
+#: Single periods are examined for loops of at most so many states, and always for a refusal.
+_LARGEST_EXAMINED = 60
 
 _SPECTRAL = "exact zero-order hold, linearised implicit step, Routh array after a Moebius map, in ball arithmetic"
 _SPECTRAL_LARGE = "exact zero-order hold, linearised implicit step, Lyapunov matrix verified in ball arithmetic"
@@ -80,6 +82,7 @@ class Routes:
         lyapunov: of the continuous storage. spectral: of the linearised sampled loop.
         scan: what is proved of the linearised loop with shorter and longer periods.
         estimate: of the end of the stable periods, where the scan did not reach it.
+        examined: single periods instead of a scan, for large loops.
         jitter: the common storage for varying periods, where the Lyapunov route does not cover them.
     """
 
@@ -90,6 +93,7 @@ class Routes:
     scan: Scan
     estimate: Fraction | None
     jitter: Jitter | None = None
+    examined: Examined | None = None
 
     @property
     def by_lyapunov(self) -> bool:
@@ -108,8 +112,11 @@ class Routes:
     def largest(self) -> float | None:
         """The smallest period at which the linearised loop fails: proved, or estimated where the scan was cut short.
 
-        None if no period of the scan fails, or if even the shortest ones do.
+        Of a loop that is too large to scan, the longest of the examined periods that is proved stable. None if no
+        period fails, or if even the shortest ones do.
         """
+        if self.examined is not None:
+            return None if self.examined.next is None or self.longest_proved == 0 else float(self.longest_proved)
         if self.scan.complete or self.proved_to == 0:
             return None
         if self.scan.exhausted:
@@ -120,8 +127,9 @@ class Routes:
     def figures(self) -> dict[str, object]:
         """For JSON: seconds, null where a route gives nothing."""
         found, storage = self.scan, self.lyapunov.largest
-        return {
-            "spectral_stable_to": float(found.stable_to),
+        single = self.examined.stable if self.examined is not None else None
+        return ({} if single is None else {"spectral_stable_at": float(single)}) | {
+            "spectral_stable_to": float(self._scanned_to),
             "spectral_unstable_at": None if found.unstable_at is None else float(found.unstable_at),
             "spectral_scan_complete": not found.exhausted,
             "lyapunov_stable_to": None if storage is None else float(storage),
@@ -129,8 +137,18 @@ class Routes:
 
     @property
     def proved_to(self) -> float:
-        """Every period below this one is proved, by one of the routes; 0 if none is."""
-        return float(max(self.scan.stable_to, self.lyapunov.largest or 0))
+        """Every period below it (with a delay: from ``scan.start`` on) is proved by one of the routes; 0 if none is."""
+        return float(max(self._scanned_to, self.lyapunov.largest or 0))
+
+    @property
+    def longest_proved(self) -> Fraction:
+        """The longest period that is proved, maybe without all shorter ones; 0 if none is."""
+        single = self.examined.stable if self.examined is not None else None
+        return max(self._scanned_to, self.lyapunov.largest or Fraction(0), single or Fraction(0))
+
+    @property
+    def _scanned_to(self) -> Fraction:
+        return self.scan.stable_to if self.scan.stable_to > self.scan.start or not self.scan.delay else Fraction(0)
 
 
 def verdict(routes: Routes, asymptotic: Claim, overall: Claim, change: GainChange | None) -> Claim:
@@ -199,7 +217,7 @@ def _extent(routes: Routes) -> list[str]:
         least = f" above {float(found.start):.3g} s" if found.start else ""
         unstable = f": it is unstable at {at}" if at else ""
         if found.exhausted and not at:
-            return ["other sample periods were not examined (--sampled-scan does it)"]
+            return [_examined(routes.examined, routes.h)]
         return [f"no range of short periods{least} was proved for the linearised loop{unstable}"]
     since = f"from {float(found.start):.3g} s " if found.start else ""
     end = f", proved unstable at {at}" if at else ""
@@ -209,6 +227,17 @@ def _extent(routes: Routes) -> list[str]:
     if routes.by_spectrum and found.unstable_at is not None and found.unstable_at < routes.h:
         lines.append("this h lies in a window of stability beyond periods that are unstable")
     return lines
+
+
+def _examined(found: Examined | None, h: Fraction) -> str:
+    """What single periods say; none of those between was decided."""
+    rest = "the others were not examined (--sampled-scan does it)"
+    if found is None or (found.stable == h and found.next is None):
+        return f"this sample period alone was examined: {rest}"
+    if found.stable is None:
+        return f"single periods down to {float(found.next or h):.3g} s were examined, and none was proved: {rest}"
+    end = "" if found.next is None else f", h = {float(found.next):.4g} s is not proved"
+    return f"of single periods h = {float(found.stable):.4g} s is the longest proved{end}: {rest}"
 
 
 def _certificate(routes: Routes) -> dict[str, object]:
@@ -229,7 +258,11 @@ def _hint(routes: Routes, asymptotic: Claim, change: GainChange | None) -> str:
             f"keep the periods within {100 * share:.3g} % of h, which is proved" if share else "sample evenly"
         ) + more
     largest = routes.proved_to
-    parts = [f"sample at h = {_below(largest)} s or faster, which is proved"] if largest else []
+    faster = f"down to {float(routes.scan.start):.3g} s" if routes.scan.delay else "or faster"
+    parts = [f"sample at h = {_below(largest)} s {faster}, which is proved"] if largest else []
+    single = routes.examined.stable if routes.examined is not None else None
+    if single is not None and single > largest:
+        parts.insert(0, f"sample at h = {float(single):.4g} s, which is proved (local; that period alone)")
     if change is not None:
         parts.append(f"multiply {change}, which is proved to allow this h (local)")
     else:
@@ -275,14 +308,20 @@ def decide(
             situation.plant, situation.structure, situation.gamma, situation.eta, situation.law, missing
         )
     here = spectral(loop, h, delay)
-    small = sum(loop.sizes[:2]) <= _LARGEST_SEARCH
-    refused = here.status is not Status.PROVED and small
+    size = sum(loop.sizes[:2])
+    small = size <= _LARGEST_SEARCH
+    refused = here.status is not Status.PROVED
     hurwitz_at_target = continuous.status is Status.PROVED
-    found = _scanned(loop, h, storage, hurwitz_at_target, sampling, refused)
-    about = None
+    found = _scanned(loop, h, storage, hurwitz_at_target, sampling, refused and small)
+    about, singles = None, None
     if found.exhausted and not delay and small and found.stable_to > 0:
         about = estimate(loop, found.stable_to, h * _REACH)
-    routes = Routes(h, h * (1 + sampling.jitter), storage, here, found, about)
+    else:
+        open_end = found.exhausted and not small and (refused or size <= _LARGEST_EXAMINED)
+        none = delay > 0 and refused and found.stable_to == found.start
+        if hurwitz_at_target and (open_end or none):
+            singles = examine(loop, h, h * _REACH, delay)
+    routes = Routes(h, h * (1 + sampling.jitter), storage, here, found, about, examined=singles)
     if sampling.jitter and not (routes.by_lyapunov and asymptotic.status is Status.PROVED):
         routes = replace(routes, jitter=jitter(loop, h, sampling.jitter, delay))
     change = None

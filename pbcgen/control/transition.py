@@ -344,10 +344,3 @@ class Transition:
 def _place(target: acb_mat, block: acb_mat, row: int, column: int) -> None:
     for i, j, value in entries(block):
         target[row + i, column + j] = value
-
-
-def embedded(matrix: acb_mat) -> list[list[arb]]:
-    """A complex matrix as a real one of twice the size."""
-    n = matrix.nrows()
-    rows = [[*(matrix[i, j].real for j in range(n)), *(-matrix[i, j].imag for j in range(n))] for i in range(n)]
-    return rows + [[*(matrix[i, j].imag for j in range(n)), *(matrix[i, j].real for j in range(n))] for i in range(n)]

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+from itertools import pairwise
+
 import casadi as ca
 import pytest
 
-from pbcgen import Circuit, Design, DynamicExtension, Limits, Parameters
+from pbcgen import Circuit, Design, DynamicExtension, Limits, Mechanical, Parameters
+from pbcgen.control.derive import derive
+from pbcgen.control.gain_change import scaled
+from pbcgen.control.linearisation import examine, spectral
+from pbcgen.control.sampled import Sampling
 from pbcgen.pipeline import check
 from pbcgen.proof.claim import Status
 
@@ -42,7 +49,7 @@ def test_a_ladder_of_sixty_states_is_proved_globally() -> None:
     assert {c.status for c in claims.values()} == {Status.PROVED}
     assert claims["globally-asymptotically-stable"].domain == "all x"
     assert "Lyapunov matrix" in claims["asymptotically-stable"].method
-    assert "other sample periods were not examined" in claims["sampled-stable"].evidence
+    assert "the others were not examined" in claims["sampled-stable"].evidence
 
 
 @pytest.mark.system
@@ -51,3 +58,41 @@ def test_a_ladder_with_one_negative_resistance_is_not_proved(broken: dict[str, o
     claims = {c.claim: c for c in check(ladder(60, **broken)).claims}  # type: ignore[arg-type]
     assert claims["assumption-1"].status is not Status.PROVED
     assert claims["globally-asymptotically-stable"].status is not Status.PROVED
+
+
+def chain(n: int, sample_period: str) -> Design:
+    """n masses on springs in a row, weakly damped, the first one on a wall and driven."""
+    q, p = ([ca.SX.sym(f"{name}{j}") for j in range(n)] for name in "qp")
+    V = sum(10 * (a - b) ** 2 for a, b in pairwise(q)) + 5 * q[0] ** 2
+    model = Mechanical(q=q, p=p, M=[1] * n, V=V, D=[0.01] * n, G=[1] + [0] * (n - 1), measured=["q0"])
+    law = DynamicExtension(alpha=5, beta=30, K_c=40, R_c="0.3")
+    return Design(model, {"q0": "0.5"}, law, sample_period=sample_period)
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("delay", [0, 1])
+def test_a_refusal_of_a_large_loop_names_a_proved_period_and_gain_change(delay: int) -> None:
+    design = chain(13, "0.1")
+    found = derive(design, None, Sampling(delay=Fraction(delay)))
+    assert found.situation is not None
+    loop, family = found.situation.loop, found.situation.family
+    claim = {c.claim: c for c in found.claims}["sampled-stable"]
+    assert claim.status is Status.REFUTED
+    period = Fraction(claim.hint.split("sample at h = ")[1].split(" s")[0])
+    assert spectral(loop, period, Fraction(delay)).status is Status.PROVED
+    assert spectral(loop, period * Fraction(103, 100), Fraction(delay)).status is Status.REFUTED
+    assert found.derived["max_sample_period"] == float(period)
+    change = Fraction(claim.hint.split("alpha*beta by ")[1].split(",")[0])
+    law = scaled(found.situation.law, {"alpha*beta": change})
+    assert spectral(family.loop(law), design.sample_period, Fraction(delay)).status is Status.PROVED
+
+
+@pytest.mark.system
+def test_no_period_of_an_unstable_loop_is_proved() -> None:
+    found = derive(ladder(30, resistance="-5"))
+    assert found.situation is not None
+    singles = examine(found.situation.loop, Fraction(1, 1000), Fraction(1))
+    assert singles.stable is None
+    claim = {c.claim: c for c in found.claims}["sampled-stable"]
+    assert claim.status is not Status.PROVED
+    assert found.derived["max_sample_period"] is None
