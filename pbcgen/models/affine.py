@@ -15,7 +15,6 @@ from pbcgen.errors import ModelError
 from pbcgen.models.exact import Number, decimal, exact
 from pbcgen.models.expressions import (
     check_finite,
-    check_literals,
     check_symbols,
     column,
     depends,
@@ -26,6 +25,7 @@ from pbcgen.models.expressions import (
     symbols,
     unique,
 )
+from pbcgen.models.numbers import named_numbers
 from pbcgen.models.parameters import Parameters
 from pbcgen.models.source import Call, users_call
 
@@ -191,15 +191,21 @@ class AffineSystem:
         known_eta = None if eta is None else column(eta, "eta")
         signals = _measured(measured, x)
         functions = {"the drift f": drift, "the input matrix g": matrix, "the storage S": storage}
-        functions |= {f"the measured signal `{key}`": value for key, value in signals.items()}
+        functions |= {_signal_name(key): value for key, value in signals.items()}
         functions |= {"gamma": known_gamma} if known_gamma is not None else {}
         functions |= {"eta": known_eta} if known_eta is not None else {}
         for what, value in functions.items():
             check_symbols(value, (x, parameters.symbols), what, u, "the input")
             check_finite(value, what)
         extra = [key for key in signals if key not in names(x)]
-        unique([*names(x), *names(u), *extra, *parameters.names])
-        check_literals([storage, drift, matrix])
+        taken = [*names(x), *names(u), *extra]
+        unique([*taken, *parameters.names])
+        own = [*functions][0 if structure is None else 3 :]  # a front end has named the numbers of f, g and S
+        named, parameters = named_numbers([functions[what] for what in own], "c", parameters, taken)
+        functions |= zip(own, named, strict=True)
+        drift, matrix, storage = [*functions.values()][:3]
+        known_gamma, known_eta = functions.get("gamma"), functions.get("eta")
+        signals = {key: functions[_signal_name(key)] for key in signals}
         if not depends(storage, x):
             raise ModelError(
                 "the storage S does not depend on the state: give the energy, or another function that does not grow "
@@ -216,7 +222,7 @@ class AffineSystem:
             "gamma": known_gamma,
             "eta": known_eta,
             "measured": MappingProxyType(signals),
-            "units": MappingProxyType(_units(units or {}, [*names(x), *names(u), *extra])),
+            "units": MappingProxyType(_units(units or {}, taken)),
             "name": name,
             "structure": structure,
             "call": users_call(),
@@ -302,6 +308,10 @@ def _measured(measured: MeasuredLike | None, x: ca.SX) -> dict[str, ca.SX]:
     if not signals:
         raise ModelError("nothing is measured: name at least one state or expression in `measured`")
     return signals
+
+
+def _signal_name(key: str) -> str:
+    return f"the measured signal `{key}`"
 
 
 def _signal(name: object, value: Any, states: Mapping[str, ca.SX]) -> ca.SX:

@@ -14,7 +14,7 @@ from pbcgen.models.expressions import (
     check_symbols,
     depends,
     expression,
-    named_numbers,
+    names,
     never_positive_definite,
     shaped,
     square,
@@ -23,6 +23,7 @@ from pbcgen.models.expressions import (
 )
 from pbcgen.models.inertia import inverse, named_constants
 from pbcgen.models.mechanical import input_symbols
+from pbcgen.models.numbers import named
 from pbcgen.models.parameters import Parameters
 
 if TYPE_CHECKING:
@@ -108,15 +109,17 @@ class Circuit:
         capacitance = _storage(C, v_C, "the capacitance C", parameters)
         inductance, parameters = named_constants(inductance, "L", parameters)
         capacitance, parameters = named_constants(capacitance, "C", parameters)
-        v_R, parameters = _named(v_R, (i_L.numel(), 1), "v_R", parameters)
-        P_R, parameters = _named(P_R, (1, 1), "P_R", parameters)
-        i_G, parameters = _named(i_G, (v_C.numel(), 1), "i_G", parameters)
-        P_G, parameters = _named(P_G, (1, 1), "P_G", parameters)
+        taken = [*names(i_L), *names(v_C), *([inputs] if isinstance(inputs, str) else inputs or [])]
+        v_R, parameters = _named(v_R, (i_L.numel(), 1), "v_R", parameters, taken)
+        P_R, parameters = _named(P_R, (1, 1), "P_R", parameters, taken)
+        i_G, parameters = _named(i_G, (v_C.numel(), 1), "i_G", parameters, taken)
+        P_G, parameters = _named(P_G, (1, 1), "P_G", parameters, taken)
+        coupling, parameters = named(_interconnection(Gamma, i_L, v_C, parameters), "Gamma", parameters, taken)
         parts = _brayton(
             i_L,
             v_C,
             storage=(inductance, capacitance),
-            Gamma=_interconnection(Gamma, i_L, v_C, parameters),
+            Gamma=coupling,
             resistive=_resistive(v_R, P_R, i_L, ("v_R", "P_R"), parameters),
             conductive=_resistive(i_G, P_G, v_C, ("i_G", "P_G"), parameters),
             g_tilde=_sources(g_L, g_C, i_L, v_C, parameters),
@@ -169,15 +172,11 @@ def _interconnection(Gamma: Any, i_L: ca.SX, v_C: ca.SX, parameters: Parameters)
     return matrix
 
 
-def _named(law: Any, shape: tuple[int, int], label: str, parameters: Parameters) -> tuple[Any, Parameters]:
+def _named(
+    law: Any, shape: tuple[int, int], label: str, parameters: Parameters, taken: Sequence[str]
+) -> tuple[Any, Parameters]:
     """A resistive law or potential with its numbers as parameters, so that its derivatives are exact."""
-    if law is None:
-        return None, parameters
-    rows = []
-    for row in ca.vertsplit(shaped(law, shape, label)):
-        exact, parameters = named_numbers(row, label, parameters)
-        rows.append(exact)
-    return ca.vertcat(*rows), parameters
+    return (None, parameters) if law is None else named(shaped(law, shape, label), label, parameters, taken)
 
 
 def _resistive(

@@ -15,15 +15,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbcgen.models.parameters import Parameters
-
-
-#: Numbers beyond this ratio must be parameters.
-_LARGEST_RATIO = 1e10
-
-#: Numbers with numerator and denominator of so many bits may be multiplied a few times in doubles without rounding.
-_SHORT_BITS = 12
-
 
 def expression(value: Any, what: str) -> ca.SX:
     """``value`` as an SX matrix: SX, DM, numbers, NumPy arrays, a list (a column) or a list of lists (rows).
@@ -164,20 +155,6 @@ def check_finite(value: ca.SX, what: str) -> None:
             raise ModelError(f"{where} contains a constant that is not a finite number (NaN or a division by zero)")
 
 
-def check_literals(values: Sequence[ca.SX]) -> None:
-    """Raise ModelError if numbers written into the model differ so much in size that sums of them lose digits.
-
-    CasADi adds and multiplies numbers in double precision while it builds and differentiates expressions: 1e13 - 9e-4
-    becomes 1e13. Parameters stay symbols, so that nothing is rounded.
-    """
-    sizes = sorted({abs(c) for value in values for c in _constants(value) if c})
-    if sizes and sizes[-1] > _LARGEST_RATIO * sizes[0]:
-        raise ModelError(
-            f"the model contains the numbers {sizes[0]:g} and {sizes[-1]:g}, which CasADi cannot add without rounding: "
-            "declare such constants with Parameters(...), which keeps them exact"
-        )
-
-
 def _is_finite(value: ca.SX) -> bool:
     return all(np.isfinite(c) for c in _constants(value))
 
@@ -190,68 +167,6 @@ def _constants(value: ca.SX) -> list[float]:
         for k in range(function.n_instructions())
         if function.instruction_id(k) == ca.OP_CONST
     ]
-
-
-def named_numbers(value: ca.SX, label: str, parameters: Parameters) -> tuple[ca.SX, Parameters]:
-    """A scalar expression with its numbers as parameters, unless products of them are exact in doubles.
-
-    CasADi multiplies numbers while it differentiates, and rounds: the derivative of ``0.7 * (3 * x**2)`` would not be
-    exact. Integers and binary fractions of moderate length stay numbers.
-
-    Args:
-        value: the expression.
-        label: how the parameters are called, followed by a count.
-        parameters: the model's own.
-
-    Returns:
-        The expression, and the parameters with those that were added.
-    """
-    variables = ca.vertcat(*ca.symvar(value))
-    function = ca.Function("f", [variables], [value])
-    work: dict[int, ca.SX | float] = {}
-    named: dict[float, ca.SX] = {}
-    result = ca.SX(0)
-
-    def operand(place: int) -> ca.SX:
-        nonlocal parameters
-        entry = work[place]
-        if isinstance(entry, ca.SX):
-            return entry
-        if _is_short(entry):
-            return ca.SX(entry)
-        if entry not in named:
-            count = len(named) + 1
-            while (name := f"{label}_{count}") in parameters:
-                count += 1
-            parameters = parameters.joined(**{name: entry})
-            named[entry] = parameters[name]
-        return named[entry]
-
-    for k in range(function.n_instructions()):
-        operation, inputs = function.instruction_id(k), function.instruction_input(k)
-        if operation == ca.OP_OUTPUT:
-            result = operand(inputs[0])
-            continue
-        (place,) = function.instruction_output(k)
-        if operation == ca.OP_INPUT:
-            work[place] = variables[inputs[1]]
-        elif operation == ca.OP_CONST:
-            work[place] = function.instruction_constant(k)
-        elif len(inputs) == 1:
-            work[place] = ca.SX.unary(operation, operand(inputs[0]))
-        else:
-            is_exponent = operation in (ca.OP_POW, ca.OP_CONSTPOW) and isinstance(work[inputs[1]], float)
-            second = ca.SX(work[inputs[1]]) if is_exponent else operand(inputs[1])  # an exponent is no factor
-            work[place] = ca.SX.binary(operation, operand(inputs[0]), second)
-    return (result, parameters) if named else (value, parameters)
-
-
-def _is_short(number: float) -> bool:
-    """Whether the number is a fraction of few bits, so that products of several of them are not rounded."""
-    if not np.isfinite(number):
-        return True
-    numerator, denominator = abs(number).as_integer_ratio()
-    return numerator.bit_length() <= _SHORT_BITS and denominator.bit_length() <= _SHORT_BITS
 
 
 def depends(value: ca.SX, on: ca.SX) -> bool:

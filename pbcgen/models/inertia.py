@@ -6,8 +6,8 @@ import math
 
 import casadi as ca
 
+from pbcgen.models.numbers import as_written, is_short
 from pbcgen.models.parameters import Parameters
-from pbcgen.symbolic.tape import exact_decimal
 
 _LARGEST_COFACTOR = 3
 
@@ -103,7 +103,7 @@ def named_constants(M: ca.SX, label: str, parameters: Parameters) -> tuple[ca.SX
     """M with its numbers as parameters, where its inverse would not be exact otherwise.
 
     CasADi computes with the doubles that it is given: the inverse of 3 becomes a rounded number, and identities such
-    as ``M M^-1 = I`` fail by it. A number whose reciprocal is a decimal of double length stays in a block of its own.
+    as ``M M^-1 = I`` fail by it. A power of two stays in a block of its own.
 
     Args:
         M: n x n, symmetric.
@@ -126,7 +126,7 @@ def named_constants(M: ca.SX, label: str, parameters: Parameters) -> tuple[ca.SX
                 name = f"{label}_{i + 1}_{j + 1}"
                 while name in parameters:
                     name += "_"
-                parameters = parameters.joined(**{name: float(M[i, j])})
+                parameters = parameters.joined(**{name: as_written(float(M[i, j]))})
                 result[i, j] = parameters[name]
                 result[j, i] = parameters[name]
     return ca.sparsify(result), parameters
@@ -141,8 +141,8 @@ def _has_matching_numbers(M: ca.SX) -> bool:
 def _has_exact_inverse(entry: ca.SX) -> bool:
     if not entry.is_constant():
         return True
-    value = float(entry)
-    return value != 0 and exact_decimal(1 / value) * exact_decimal(value) == 1
+    value = as_written(float(entry))
+    return value != 0 and is_short(value) and is_short(1 / value)
 
 
 def independent_blocks(M: ca.SX) -> list[list[int]]:

@@ -14,7 +14,6 @@ from pbcgen.models.expressions import (
     check_symbols,
     depends,
     expression,
-    named_numbers,
     names,
     never_positive_definite,
     shaped,
@@ -23,6 +22,7 @@ from pbcgen.models.expressions import (
     vanishes_at_samples,
 )
 from pbcgen.models.inertia import Factors, inverse, named_constants, solve, squares, sum_of_factors
+from pbcgen.models.numbers import named, named_numbers
 from pbcgen.models.parameters import Parameters
 
 if TYPE_CHECKING:
@@ -93,16 +93,24 @@ class Mechanical:
         parameters = parameters if parameters is not None else Parameters()
         if q.numel() != p.numel():
             raise ModelError(f"there are {q.numel()} positions q and {p.numel()} momenta p: give one momentum for each")
+        taken = [*names(q), *names(p), *([inputs] if isinstance(inputs, str) else inputs or [])]
         factors = _factors(M, q.numel())
-        M = sum_of_factors(factors) if factors else M
+        if factors:
+            parts, parameters = named_numbers([part for pair in factors for part in pair], "M", parameters, taken)
+            factors = tuple(zip(parts[::2], parts[1::2], strict=True))
+            M = sum_of_factors(factors)
         if M is not None and M_inv is None:
             given = ca.sparsify(square(M, q.numel(), "the inertia matrix M"))
             M, parameters = named_constants(given, "M", parameters)
-        V, parameters = named_numbers(shaped(V, (1, 1), "the potential energy V"), "V", parameters)
-        parts = _mechanics(q, p, M=M, M_inv=M_inv, V=V, D=D, G=G, parameters=parameters, factors=factors)
-        u = input_symbols(inputs, parts.G.shape[1])
+            M, parameters = named(M, "M", parameters, taken)
+        V, parameters = named(shaped(V, (1, 1), "the potential energy V"), "V", parameters, taken)
+        if D is not None:
+            D, parameters = named(square(D, q.numel(), "the damping D"), "D", parameters, taken)
+        G, parameters = named(expression(G, "the input matrix G"), "G", parameters, taken)
+        mechanics = _mechanics(q, p, M=M, M_inv=M_inv, V=V, D=D, G=G, parameters=parameters, factors=factors)
+        u = input_symbols(inputs, mechanics.G.shape[1])
         system = _affine(
-            parts,
+            mechanics,
             u,
             parameters=parameters,
             domain=domain,
@@ -112,7 +120,7 @@ class Mechanical:
             units=units,
             name=name,
         )
-        for key, value in {"q": q, "p": p, "u": u, "parts": parts, "system": system}.items():
+        for key, value in {"q": q, "p": p, "u": u, "parts": mechanics, "system": system}.items():
             object.__setattr__(self, key, value)
 
     @classmethod

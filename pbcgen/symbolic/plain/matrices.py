@@ -8,18 +8,14 @@ from typing import Any
 
 from flint import acb_mat, arb, arb_mat, ctx, fmpq
 
-from pbcgen.symbolic.plain.values import partial, sign, variables
+from pbcgen.symbolic.plain.values import partial, sign, times, variables
 
 Matrix = list[list[Any]]
 
 
 def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    """The sum of products; an exact zero leaves an exact sum exact beside finite balls."""
-    return sum((x * y for x, y in zip(a, b, strict=True) if not (_drops(x, y) or _drops(y, x))), fmpq(0))
-
-
-def _drops(x: Any, y: Any) -> bool:
-    return isinstance(x, fmpq) and x == 0 and isinstance(y, arb) and y.is_finite()
+    """The sum of products."""
+    return sum((times(x, y) for x, y in zip(a, b, strict=True)), fmpq(0))
 
 
 def transpose(a: Matrix) -> Matrix:

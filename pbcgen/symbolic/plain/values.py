@@ -29,13 +29,20 @@ _MOST_FACTORED = 60
 #: Functions with more terms than this are not written out.
 _MOST_TERMS = 5000
 
+
+def times(a: Any, b: Any) -> Any:
+    """The product; an exact zero in balls is the number zero, which leaves exact sums exact."""
+    product = a * b
+    return fmpq(0) if isinstance(product, arb) and product == 0 and product.is_exact() else product
+
+
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "assign": lambda a: a,
     "assign_first": lambda a, _: a,
     "add": operator.add,
     "sub": operator.sub,
-    "mul": operator.mul,
-    "div": lambda a, b: a * (fmpq(1) / b),
+    "mul": times,
+    "div": lambda a, b: times(a, fmpq(1) / b),
     "neg": operator.neg,
     "sq": lambda a: a * a,
     "twice": lambda a: a + a,
@@ -323,19 +330,19 @@ class Dual(Value):
 
     def _joined(self, other: Any, value: Any, left: Any, right: Any) -> Dual:
         """The result ``value`` of two operands, whose partial derivatives by the operands are left and right."""
-        slope = {k: left * d for k, d in self.slope.items()}
+        slope = {k: times(left, d) for k, d in self.slope.items()}
         for k, d in other.slope.items() if isinstance(other, Dual) else ():
-            slope[k] = slope[k] + right * d if k in slope else right * d
+            slope[k] = slope[k] + times(right, d) if k in slope else times(right, d)
         return Dual(value, slope)
 
     def _through(self, value: Any, factor: Any) -> Dual:
-        return Dual(value, {k: factor * d for k, d in self.slope.items()})
+        return Dual(value, {k: times(factor, d) for k, d in self.slope.items()})
 
     def __add__(self, other: Any) -> Dual:
         return self._joined(other, self.value + _inside(other), 1, 1)
 
     def __mul__(self, other: Any) -> Dual:
-        return self._joined(other, self.value * _inside(other), _inside(other), self.value)
+        return self._joined(other, times(self.value, _inside(other)), _inside(other), self.value)
 
     def __neg__(self) -> Dual:
         return self._through(-self.value, -1)
