@@ -20,7 +20,7 @@ from flint import fmpq
 from numpy.typing import NDArray
 
 from pbcgen.control.family import LoopFamily
-from pbcgen.control.graph import exact_inverse
+from pbcgen.control.gain_matrices import exact_inverse
 from pbcgen.control.transition import LinearLoop
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.gains import Matrix, Vector

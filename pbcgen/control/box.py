@@ -9,29 +9,31 @@ there for certain is a counterexample.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from fractions import Fraction
-from itertools import product
+from itertools import pairwise, product
 from typing import Any, Final
 
 import casadi as ca
-from flint import fmpq
+from flint import arb, fmpq
 
 from pbcgen.control.attractivity import Situation
 from pbcgen.control.cells import Loops
 from pbcgen.control.graph import LawGraph
+from pbcgen.control.sampled import Sampling
 from pbcgen.control.saturation import Range, Saturation, saturation
 from pbcgen.control.settings import Setting, Settings
 from pbcgen.models.design import Design
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PotentialCompensation
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.plant import Point
-from pbcgen.passivity.shaping import diagonal, shape_at
+from pbcgen.passivity.shaping import diagonal, exact_matrix, extended_hessian, shape_at
 from pbcgen.passivity.target_map import NotExplicit, TargetMap
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import RealMatrix, positive_definite
 from pbcgen.proof.lyapunov import Kind
-from pbcgen.proof.modal import Varying, blurs, discs_inside
+from pbcgen.proof.modal import Varying, blurs, contract
 from pbcgen.proof.spectrum import hurwitz, schur
 from pbcgen.symbolic.real import (
     BITS,
@@ -48,9 +50,14 @@ from pbcgen.symbolic.real import (
 )
 
 #: Cells that are tried before the claim stays open.
-_CELLS: Final = 1500
-#: Corners are tried while there are no more than these.
+_CELLS: Final = 2500
+#: Corners are tried while there are no more than these, and as many middles of cells that resist.
 _CORNERS: Final = 64
+#: Where the box is not proved: shares of it around the declared setting, and the cells that each may take.
+_SHARES: Final = (Fraction(1, 2), Fraction(1, 4), Fraction(1, 10), Fraction(1, 30))
+_SHARE_CELLS: Final = 200
+#: Parts into which the interval of sample periods is cut.
+_PERIODS: Final = 6
 
 _METHOD: Final = "balls over cells of the settings: saturation, LDL^T, Gershgorin discs in modal coordinates"
 
@@ -77,7 +84,11 @@ class BoxVerdict:
 
 
 def box_claim(
-    situation: Situation, graph: LawGraph, design: Design, moving: TargetMap | NotExplicit | None
+    situation: Situation,
+    graph: LawGraph,
+    design: Design,
+    moving: TargetMap | NotExplicit | None,
+    sampling: Sampling | None = None,
 ) -> BoxVerdict:
     """Decide the claim for the settings of a design."""
     settings = graph.settings
@@ -89,17 +100,38 @@ def box_claim(
         return BoxVerdict(
             Claim("adjustable", Status.REFUTED, domain, "elimination", moving.reason, moving.hint, counterexample), None
         )
-    box = _Box(situation, graph, design, settings)
+    box = _Box(situation, graph, design, settings, sampling or Sampling())
     if not box.agrees():
         why, hint = "the explicit equilibrium is not the one that was proved for the declared target", "mend the target"
         return BoxVerdict(Claim("adjustable", Status.UNDECIDED, domain, _METHOD, why, hint), None)
-    refuted = box.refuted_corner()
-    if refuted is not None:
-        cell, why = refuted
-        where = {s.name: text(rational(lo), 9) for s, (lo, _) in zip(settings.settings, cell, strict=True)}
-        hint = "narrow the box of targets or the ranges of gains so that they leave this point out"
-        return BoxVerdict(Claim("adjustable", Status.REFUTED, domain, _METHOD, why, hint, where), None)
-    return box.cover(domain)
+    counted = box.points() or box.cover(box.whole, _CELLS)
+    if isinstance(counted, _Refuted):
+        hint = box.narrower() or "narrow the box of targets or the ranges of gains so that they leave this point out"
+        return BoxVerdict(
+            Claim("adjustable", Status.REFUTED, domain, _METHOD, counted.why, hint, dict(counted.where)), None
+        )
+    if isinstance(counted, _Open):
+        evidence = f"open at {counted.where}: {counted.why}"
+        hint = box.narrower() or "narrow the box of targets or the ranges of gains"
+        return BoxVerdict(Claim("adjustable", Status.UNDECIDED, domain, _METHOD, evidence, hint), None)
+    claim = Claim("adjustable", Status.PROVED, domain, _METHOD, box.evidence(counted), certificate={"cells": counted})
+    return BoxVerdict(claim, None if box.reached is None else tuple(box.reached))
+
+
+@dataclass(frozen=True)
+class _Refuted:
+    """A setting, and what certainly fails there."""
+
+    where: Mapping[str, str]
+    why: str
+
+
+@dataclass(frozen=True)
+class _Open:
+    """A cell that resists, and what."""
+
+    where: str
+    why: str
 
 
 def describe(settings: Sequence[Setting]) -> str:
@@ -117,16 +149,19 @@ class _Box:
     graph: LawGraph
     design: Design
     settings: Settings
+    sampling: Sampling
 
     def __post_init__(self) -> None:
         moving = self.settings.moving
         plant = self.situation.plant
         self.whole: Cell = tuple((s.range.lo, s.range.hi) for s in self.settings.settings)
         self.reached: list[tuple[Fraction, Fraction]] | None = None
-        self.hessian = self.situation.found["hessian-condition"].status is Status.PROVED
+        found = self.situation.found
+        self.hessian = found["hessian-condition"].status is Status.PROVED
+        self.filtered = "kc-bound" in found and found["kc-bound"].status is Status.PROVED
         self.base = self.situation.law.base if isinstance(self.situation.law, Integral) else self.situation.law
         self.target = [s for s in self.settings.settings if s.group == "target"]
-        self.loops = Loops.of(plant, self.situation.point, self.graph, self.design.sample_period)
+        self.loops = Loops.of(plant, self.situation.point, self.graph, self.design.sample_period, self.sampling.delay)
         if moving is not None:
             self.equilibrium = moving.tape(ca.vertcat(moving.x, moving.u))
             slopes = [ca.jacobian(u, moving.symbols).T for u in ca.vertsplit(moving.u)]
@@ -140,65 +175,107 @@ class _Box:
         pairs = zip((*own.x, *own.u), (*point.x, *point.u), strict=True)
         return all(is_finite(a) and sign(a - b) in (0, None) for a, b in pairs)
 
-    def refuted_corner(self) -> tuple[Cell, str] | None:
-        """A corner, and what certainly fails there."""
-        if 2 ** len(self.whole) > _CORNERS:
-            return None
-        for corner in product(*self.whole):
-            cell = tuple((v, v) for v in corner)
-            verdict = self.decide(cell)
-            if verdict[0] is Status.REFUTED:
-                return cell, verdict[1]
+    def points(self) -> _Open | _Refuted | None:
+        """What resists at the declared setting or at a corner: without these no cell around them passes."""
+        corners = list(product(*self.whole)) if 2 ** len(self.whole) <= _CORNERS else []
+        for point in [tuple(s.value for s in self.settings.settings), *corners]:
+            cell = tuple((v, v) for v in point)
+            status, why = self.decide(cell)
+            if status is not Status.PROVED:
+                return self._at(cell, why) if status is Status.REFUTED else _Open(self._show(cell), why)
         return None
 
-    def cover(self, domain: str) -> BoxVerdict:
-        """Prove every cell, or say which one resists."""
-        waiting, proved, where, why = [self.whole], 0, "", ""
-        for _ in range(_CELLS):
+    def cover(self, whole: Cell, budget: int) -> int | _Open | _Refuted:
+        """The number of cells on which a box is proved, or what resists."""
+        budget //= 1 + _PERIODS * bool(self.sampling.jitter)
+        waiting, proved, middles, left = [whole], 0, 0, _Open("", "")
+        for _ in range(budget):
             if not waiting:
-                break
+                return proved
             cell = waiting.pop()
             status, reason = self.decide(cell)
             if status is Status.PROVED:
                 proved += 1
                 continue
+            if middles < _CORNERS:
+                middles += 1
+                middle = tuple(((lo + hi) / 2,) * 2 for lo, hi in cell)
+                status, why = self.decide(middle)
+                if status is Status.REFUTED:
+                    return self._at(middle, why)
             waiting += self._halves(cell)
-            where, why = self._show(cell), reason
-        if waiting:
-            hint = "narrow the box of targets or the ranges of gains"
-            evidence = f"after {_CELLS} cells open at {where}: {why}"
-            return BoxVerdict(Claim("adjustable", Status.UNDECIDED, domain, _METHOD, evidence, hint), None)
-        evidence = (
-            f"x* exists, saturation{', the Hessian condition' if self.hessian else ''} and stability near x*, "
-            f"continuous and sampled, on {proved} cell{'s' if proved != 1 else ''}"
+            left = _Open(f"{self._show(cell)} after {budget} cells", reason)
+        return left if waiting else proved
+
+    def _at(self, point: Cell, why: str) -> _Refuted:
+        names = [s.name for s in self.settings.settings]
+        return _Refuted({n: text(rational(lo), 9) for n, (lo, _) in zip(names, point, strict=True)}, why)
+
+    def narrower(self) -> str | None:
+        """A hint: a part of the box, around the declared setting, that is proved."""
+        for share in _SHARES:
+            part = tuple(
+                (_towards(s.value, lo, share), _towards(s.value, hi, share))
+                for s, (lo, hi) in zip(self.settings.settings, self.whole, strict=True)
+            )
+            if all(lo < hi for lo, hi in part) and isinstance(self.cover(part, _SHARE_CELLS), int):
+                return f"narrow it: {self._show(part, 12)} is proved"
+        return None
+
+    def evidence(self, cells: int) -> str:
+        """What is proved, in words."""
+        sampled = ["sampled"]
+        if self.sampling.delay:
+            sampled.append(f"with a delay of {float(self.sampling.delay):g} samples")
+        if self.sampling.jitter:
+            sampled.append(f"with periods that vary by {100 * float(self.sampling.jitter):g} %")
+        moving = self.settings.moving
+        return (
+            f"x* exists{'' if moving is None else moving.how}, saturation"
+            f"{', the Hessian condition' if self.hessian else ''} and stability near x*, "
+            f"continuous and {' '.join(sampled)}, on {cells} cell{'s' if cells != 1 else ''}"
         )
-        claim = Claim("adjustable", Status.PROVED, domain, _METHOD, evidence, certificate={"cells": proved})
-        return BoxVerdict(claim, None if self.reached is None else tuple(self.reached))
 
     def _halves(self, cell: Cell) -> list[Cell]:
-        """The cell cut across the setting that blurs the linearisations most."""
+        """The cell cut across the setting that helps most with the linearisation that is furthest from a proof."""
         try:
-            found = [blurs(m, kind) for kind, m in self._loops(cell)]
-            blurred = [sum(column) for column in zip(*found, strict=True)]
+            _, *after = max(blurs(family[0], kind) for kind, family in self._loops(cell, periods=False))
         except ZeroDivisionError:
-            blurred = [0.0] * len(cell)
+            after = [math.inf] * len(cell)
         shares = [float((hi - lo) / (b - a)) for (lo, hi), (a, b) in zip(cell, self.whole, strict=True)]
-        k = max(range(len(cell)), key=lambda i: (blurred[i] if shares[i] else -1.0, shares[i]))
+        k = min(range(len(cell)), key=lambda i: (after[i] if shares[i] else math.inf, -shares[i]))
         lo, hi = cell[k]
         middle = (lo + hi) / 2
         return [(*cell[:k], (middle, hi), *cell[k + 1 :]), (*cell[:k], (lo, middle), *cell[k + 1 :])]
 
-    def _loops(self, cell: Cell) -> list[tuple[Kind, Varying]]:
-        """The continuous and the sampled linearisation. Raises ZeroDivisionError where the loop may be singular."""
-        middle: Cell = tuple(((lo + hi) / 2,) * 2 for lo, hi in cell)
-        centre, over = self.loops.at(_balls(middle)), self.loops.at(_balls(cell))
-        with precision(BITS):
-            widths = tuple(ball(enclose((lo - hi) / 2, (hi - lo) / 2)) for lo, hi in cell)
-        return [(kind, Varying(centre[kind].value, over[kind].slopes, widths)) for kind in ("hurwitz", "schur")]
+    def _loops(self, cell: Cell, periods: bool = True) -> list[tuple[Kind, list[Varying]]]:
+        """The continuous and the sampled linearisation; the latter also with all ``periods`` that may occur.
 
-    def _show(self, cell: Cell) -> str:
-        names = [s.name for s in self.settings.settings]
-        return ", ".join(f"{n} in [{float(lo):.6g}, {float(hi):.6g}]" for n, (lo, hi) in zip(names, cell, strict=True))
+        Raises ZeroDivisionError where the loop may be singular.
+        """
+        at_middle, at_cell = _balls(tuple(((lo + hi) / 2,) * 2 for lo, hi in cell)), _balls(cell)
+        with precision(BITS):
+            widths = tuple(_radius(lo, hi) for lo, hi in cell)
+        centre, over = self.loops.at(at_middle), self.loops.at(at_cell)
+        families: dict[Kind, list[Varying]] = {
+            kind: [Varying(centre[kind].value, over[kind].slopes, widths)] for kind in ("hurwitz", "schur")
+        }
+        if periods and self.sampling.jitter:
+            h, share = self.design.sample_period, self.sampling.jitter
+            ends = [h * (1 - share + 2 * share * k / _PERIODS) for k in range(_PERIODS + 1)]
+            for a, b in pairwise(ends):
+                with precision(BITS):
+                    middle, period, width = ball(rational((a + b) / 2)), enclose(a, b), _radius(a, b)
+                own, slopes = self.loops.at(at_middle, middle)["schur"], self.loops.at(at_cell, period)["schur"].slopes
+                families["schur"].append(Varying(own.value, slopes, (*widths, width)))
+        return list(families.items())
+
+    def _show(self, cell: Cell, digits: int = 6) -> str:
+        parts = []
+        for setting, (lo, hi) in zip(self.settings.settings, cell, strict=True):
+            low, high = (f"{float(v):.{digits}g}" for v in (lo, hi))
+            parts.append(f"{setting.name} = {low}" if lo == hi else f"{setting.name} in [{low}, {high}]")
+        return ", ".join(parts)
 
     def decide(self, cell: Cell) -> tuple[Status, str]:
         """All claims on one cell; REFUTED only where the cell is a point."""
@@ -211,8 +288,8 @@ class _Box:
             return limits.claim.status, limits.claim.evidence
         is_point = all(lo == hi for lo, hi in cell)
         try:
-            for kind, matrix in self._loops(cell):
-                status = _stable(matrix, kind, is_point)
+            for kind, family in self._loops(cell):
+                status = _stable(family, kind, is_point)
                 if status is not Status.PROVED:
                     what = "continuous" if kind == "hurwitz" else "sampled"
                     not_ = "is not" if status is Status.REFUTED else "may not be"
@@ -265,16 +342,20 @@ class _Box:
         return Range(ends[0], ends[1])
 
     def _is_minimum(self, point: Point, cell: Cell) -> bool:
-        """The Hessian condition; the Hessian grows with alpha beta, so that the smallest decide."""
-        base = self._law(cell, 0)
-        base = base.base if isinstance(base, Integral) else base
+        """The Hessian condition, that of (x, x_c) where it was proved; the least alpha beta and K_c decide."""
+        law = self._law(cell, 0)
+        base = law.base if isinstance(law, Integral) else law
         alpha, beta = (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)
         shape = shape_at(
             self.situation.plant, point, self.situation.gamma, compensated=isinstance(base, PotentialCompensation)
         )
         stiffness = diagonal([rational(a * b) for a, b in zip(alpha, beta, strict=True)])
         with precision(BITS):
-            return positive_definite(shape.hessian(stiffness)).status is Status.PROVED
+            if self.filtered and not isinstance(base, PassiveOutput):
+                hessian = extended_hessian(shape, stiffness, exact_matrix(base.K_c))
+            else:
+                hessian = shape.hessian(stiffness)
+            return positive_definite(hessian).status is Status.PROVED
 
     def _law(self, cell: Cell, side: int) -> Law:
         """The law with every adjustable gain at one end of the cell."""
@@ -307,11 +388,25 @@ def _with_gains(law: Law, values: Mapping[str, Sequence[Fraction]]) -> Law:
     return type(law)(**own)
 
 
-def _stable(matrix: Varying, kind: Kind, is_point: bool) -> Status:
+def _stable(family: list[Varying], kind: Kind, is_point: bool) -> Status:
     """Discs around the modes; for single points also the Routh array, which may refute."""
-    if discs_inside(matrix, kind):
+    if contract(family, kind):
         return Status.PROVED
-    if is_point:
-        rows: RealMatrix = matrix.centre.tolist()
-        return (hurwitz if kind == "hurwitz" else schur)(rows).status
-    return Status.UNDECIDED
+    if not is_point:
+        return Status.UNDECIDED
+    rows: RealMatrix = family[0].centre.tolist()
+    found = (hurwitz if kind == "hurwitz" else schur)(rows).status
+    return Status.UNDECIDED if found is Status.PROVED and len(family) > 1 else found
+
+
+def _radius(lo: Fraction, hi: Fraction) -> arb:
+    return ball(enclose((lo - hi) / 2, (hi - lo) / 2))
+
+
+def _towards(value: Fraction, end: Fraction, share: Fraction) -> Fraction:
+    """A point between a value and an end of its range, at this share of the way, in four digits."""
+    distance = (end - value) * share
+    if not distance:
+        return value
+    point = Fraction(f"{float(value + distance):.4g}")
+    return point if min(value, end) <= point <= max(value, end) else value

@@ -35,9 +35,28 @@ class Jet:
         slopes = tuple(a + b for a, b in zip(self.slopes, other.slopes, strict=True))
         return Jet(self.value + other.value, slopes)
 
+    def __sub__(self, other: Jet) -> Jet:
+        slopes = tuple(a - b for a, b in zip(self.slopes, other.slopes, strict=True))
+        return Jet(self.value - other.value, slopes)
+
     def __mul__(self, other: Jet) -> Jet:
         pairs = zip(self.slopes, other.slopes, strict=True)
         return Jet(self.value * other.value, tuple(a * other.value + self.value * b for a, b in pairs))
+
+    @property
+    def nrows(self) -> int:
+        """The number of rows."""
+        return int(self.value.nrows())
+
+    @property
+    def ncols(self) -> int:
+        """The number of columns."""
+        return int(self.value.ncols())
+
+    def filled(self, rows: int, columns: int, diagonal: int = 0) -> Jet:
+        """A constant of this shape with as many slopes: zero, or a multiple of the identity."""
+        value = _identity(rows) * diagonal if diagonal else arb_mat(rows, columns)
+        return Jet(value, tuple(arb_mat(rows, columns) for _ in self.slopes))
 
     def inverse(self) -> Jet:
         """The inverse. Raises ZeroDivisionError where the matrix may be singular."""
@@ -92,6 +111,7 @@ class Loops:
 
     graph: LawGraph
     period: Fraction
+    delay: Fraction
     rest: tuple[Real, ...]
     parameters: tuple[Real, ...]
     constants: tuple[Real, ...]
@@ -100,8 +120,8 @@ class Loops:
     n: int
 
     @staticmethod
-    def of(plant: Plant, point: Point, graph: LawGraph, period: Fraction) -> Loops:
-        """Collect every formula; ``point`` is x* where the target does not move."""
+    def of(plant: Plant, point: Point, graph: LawGraph, period: Fraction, delay: Fraction = Fraction(0)) -> Loops:
+        """Collect every formula; ``point`` is x* where the target does not move, ``delay`` a share of the period."""
         system, settings = plant.system, graph.settings
         symbols = ca.vertcat(*[s.symbol for s in settings.settings])
         rest = ca.SX.sym("rest", system.n + system.m) if settings.moving is None else ca.SX(0, 1)
@@ -123,6 +143,7 @@ class Loops:
         return Loops(
             graph,
             period,
+            delay,
             (*point.x, *point.u) if moving is None else (),
             tuple(reals([plant.values[name] for name in plant.parameter_names])),
             tuple(value for _, value in graph.constants),
@@ -131,23 +152,48 @@ class Loops:
             system.n,
         )
 
-    def at(self, settings: Sequence[Real]) -> dict[Which, Jet]:
-        """Both matrices over a cell. Raises ZeroDivisionError where the loop equation may be singular."""
+    def at(self, settings: Sequence[Real], period: arb | None = None) -> dict[Which, Jet]:
+        """Both matrices over a cell. Raises ZeroDivisionError where the loop equation may be singular.
+
+        With ``period`` the plant is sampled by that, the controller still steps by its own, and the last slope is that
+        of the period.
+        """
         with precision(BITS):
             parts = self._parts(settings)
+            if period is not None:
+                parts = [Jet(j.value, (*j.slopes, _zero_like(j.value))) for j in parts]
             A, B, H, N, c_m, c_xi, x_m, x_xi, u_m, u_xi, x_t, u_t, *continuous = parts
             size = N.value.nrows()
-            one = arb_mat([[int(i == j) for j in range(size)] for i in range(size)]) if size else N.value
-            solved = Jet(one + N.value, N.slopes).inverse()
+            solved = Jet(_identity(size) + N.value, N.slopes).inverse()
             t_m, t_xi = solved * c_m, solved * c_xi
             X_m, X_xi, U_m, U_xi = x_m + x_t * t_m, x_xi + x_t * t_xi, u_m + u_t * t_m, u_xi + u_t * t_xi
-            hold = self._hold(A, B)
-            Ad, Bd = hold.cut(0, self.n, 0, self.n), hold.cut(0, self.n, self.n, hold.value.ncols())
-            sampled = block([[Ad + Bd * U_m * H, Bd * U_xi], [X_m * H, X_xi]])
+            sampled = self._sampled(A, B, (X_m * H, X_xi, U_m * H, U_xi), period)
             if not continuous:
                 return {"hurwitz": A + B * U_m * H, "schur": sampled}
             r_m, r_xi, v_m, v_xi = continuous
             return {"hurwitz": block([[A + B * v_m * H, B * v_xi], [r_m * H, r_xi]]), "schur": sampled}
+
+    def _sampled(self, A: Jet, B: Jet, step: tuple[Jet, Jet, Jet, Jet], period: arb | None) -> Jet:
+        """The loop over one period in (x, xi, past inputs, the last one first); push j is that of j samples ago."""
+        X_x, X_xi, U_x, U_xi = step
+        whole, part = divmod(self.delay, 1)
+        Ad, push = self._hold(A, B, Fraction(1), period)
+        pushes = {int(whole): push}
+        if part:
+            _, late = self._hold(A, B, 1 - part, period)
+            pushes = {int(whole): late, int(whole) + 1: push - late}
+        own = pushes.get(0)
+        top = [Ad if own is None else Ad + own * U_x, X_xi.filled(self.n, X_xi.ncols)]
+        if own is not None:
+            top[1] = own * U_xi
+        rows = [top, [X_x, X_xi]]
+        m, memory = B.ncols, max(pushes)
+        for j in range(1, memory + 1):
+            rows[0].append(pushes.get(j, B.filled(self.n, m)))
+            rows[1].append(B.filled(X_xi.nrows, m))
+            row = [U_x, U_xi] if j == 1 else [B.filled(m, self.n), B.filled(m, X_xi.ncols)]
+            rows.append(row + [B.filled(m, m, int(j >= 2 and k == j - 1)) for k in range(1, memory + 1)])
+        return block(rows)
 
     def _parts(self, settings: Sequence[Real]) -> list[Jet]:
         zeros: list[Real] = [ZERO] * self.graph.xi.numel()
@@ -165,16 +211,30 @@ class Loops:
             jets.append(Jet(_matrix(value.dense(ZERO), rows, columns), slopes))
         return jets
 
-    def _hold(self, A: Jet, B: Jet) -> Jet:
-        """``exp([[A, B], [0, 0]] h)``. Enclosures lose about norm(A) h bits; extra precision pays for them."""
+    def _hold(self, A: Jet, B: Jet, share: Fraction, period: arb | None) -> tuple[Jet, Jet]:
+        """``e^{A t}`` and ``int_0^t e^{A s} ds B`` with t a share of the period: blocks of ``exp([[A, B], [0, 0]] t)``.
+
+        Enclosures lose about norm(A) t bits; extra precision pays for them.
+        """
         middle = np.array([[approximate(v) for v in row] for row in A.value.tolist()])
         norm = float(np.abs(middle).sum(axis=1).max()) if np.all(np.isfinite(middle)) else 0.0
-        m = B.value.ncols()
+        m = B.ncols
         with precision(BITS + min(4096, int(3 * norm * float(self.period)))):
-            h = ball(rational(self.period))
-            bottom = [Jet(arb_mat(m, k), tuple(arb_mat(m, k) for _ in A.slopes)) for k in (self.n, m)]
-            whole = block([[A, B], bottom])
-            return Jet(whole.value * h, tuple(s * h for s in whole.slopes)).exp()
+            t = ball(rational(share)) * (ball(rational(self.period)) if period is None else period)
+            whole = block([[A, B], [A.filled(m, self.n), A.filled(m, m)]])
+            slopes = [s * t for s in whole.slopes]
+            if period is not None:
+                slopes[-1] = whole.value * ball(rational(share))
+            held = Jet(whole.value * t, tuple(slopes)).exp()
+        return held.cut(0, self.n, 0, self.n), held.cut(0, self.n, self.n, self.n + m)
+
+
+def _identity(size: int) -> arb_mat:
+    return arb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
+
+
+def _zero_like(matrix: arb_mat) -> arb_mat:
+    return arb_mat(matrix.nrows(), matrix.ncols())
 
 
 def _matrix(rows: RealMatrix, height: int, width: int) -> arb_mat:

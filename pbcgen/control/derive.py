@@ -324,7 +324,7 @@ class _AtTarget:
         )
         stages.add(*verdicts.claims)
         if self.design.target_box or self.design.gain_ranges:
-            box = stages.run("settings", lambda: box_claim(situation, graph, self.design, moving))
+            box = stages.run("settings", lambda: box_claim(situation, graph, self.design, moving, self.sampling))
             stages.add(box.claim)
             intervals = box.intervals(self.design, intervals)
             if intervals is not None:

@@ -13,14 +13,14 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 import casadi as ca
-from flint import fmpq, fmpq_mat
 
+from pbcgen.control.gain_matrices import Implicit
 from pbcgen.control.hyperbolic import Tanh, default_tanh
 from pbcgen.control.law import ControlLaw, Fallback, Precision, Setter, SetterInput, Signal
 from pbcgen.control.measure import Measurement, Reading, Unreadable
-from pbcgen.control.settings import Gain, Setting, Settings, Stored, column, matrix, times
+from pbcgen.control.settings import Gain, GainMatrix, Setting, Settings, Stored, column, matrix, times
 from pbcgen.control.solves import choose_solves
-from pbcgen.models.gains import Matrix
+from pbcgen.models.gains import diagonal
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.symbolic.real import (
@@ -30,9 +30,7 @@ from pbcgen.symbolic.real import (
     Real,
     approximate,
     enclose,
-    fraction,
     is_finite,
-    rational,
     undefined,
     upper,
 )
@@ -137,31 +135,7 @@ class _Part:
         return int(self.t.numel())
 
 
-def exact_inverse(rows: Matrix) -> Matrix:
-    """The inverse of a regular matrix of fractions."""
-    inverted = fmpq_mat([[rational(v) for v in row] for row in rows]).inv().tolist()
-    return tuple(tuple(fraction(fmpq(v)) for v in row) for row in inverted)
-
-
-def product(a: Matrix, b: Matrix) -> Matrix:
-    """The product of matrices of fractions."""
-    columns = list(zip(*b, strict=True))
-    return tuple(
-        tuple(sum((x * y for x, y in zip(row, col, strict=True)), Fraction(0)) for col in columns) for row in a
-    )
-
-
-def scaled(a: Matrix, factor: Fraction) -> Matrix:
-    """A matrix of fractions times a number."""
-    return tuple(tuple(v * factor for v in row) for row in a)
-
-
-def identity_plus(a: Matrix) -> Matrix:
-    """``I + a``."""
-    return tuple(tuple(v + (i == j) for j, v in enumerate(row)) for i, row in enumerate(a))
-
-
-def _filter_c(alpha: Sequence[Gain], beta: Sequence[Gain], K_c: Matrix, R_c: Matrix, deviation: ca.SX) -> _Part:
+def _filter_c(alpha: Sequence[Gain], beta: Sequence[Gain], K_c: GainMatrix, R_c: GainMatrix, deviation: ca.SX) -> _Part:
     """(dxc) and its term of u (uc)."""
     m = len(alpha)
     x_c = ca.SX.sym("x_c", m)
@@ -169,32 +143,30 @@ def _filter_c(alpha: Sequence[Gain], beta: Sequence[Gain], K_c: Matrix, R_c: Mat
     rate = -ca.mtimes(matrix(R_c), a * tanh + ca.mtimes(matrix(K_c), x_c))
 
     def step(h: Fraction, t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        E = exact_inverse(identity_plus(scaled(product(R_c, K_c), h)))
-        push = scaled(product(E, R_c), h)
-        N = [[times(beta[i], push[i][j], alpha[j]) for j in range(m)] for i in range(m)]
-        gain = [[times(push[i][j], alpha[j]) for j in range(m)] for i in range(m)]
-        decayed = ca.mtimes(matrix(E), x_c)
+        own = Implicit.of(R_c, K_c, h)
+        N = [[times(beta[i], own.push[i][j], alpha[j]) for j in range(m)] for i in range(m)]
+        gain = [[times(own.push[i][j], alpha[j]) for j in range(m)] for i in range(m)]
+        decayed = ca.mtimes(matrix(own.decay), x_c)
         return matrix(N), b * (deviation + decayed), decayed - ca.mtimes(matrix(gain), t), -a * t
 
     def start(h: Fraction) -> ca.SX:
-        return -ca.mtimes(matrix(identity_plus(scaled(product(R_c, K_c), h))), deviation)
+        return -ca.mtimes(matrix(Implicit.of(R_c, K_c, h).growth), deviation)
 
     return _Part(x_c, _numbered("x_c", m), rate, -a * tanh, step, start, tanh, b * (deviation + x_c))
 
 
-def _filter_l(law: NaturalDamping, alpha: Sequence[Gain], beta: Sequence[Gain], deviation: ca.SX) -> _Part:
-    """(dxl) and its term of u (ulc)."""
-    m = len(law.alpha_l)
+def _filter_l(alpha: Sequence[Gain], beta: Sequence[Gain], K_l: GainMatrix, R_l: GainMatrix, driven: ca.SX) -> _Part:
+    """(dxl) and its term of u (ulc); ``driven`` is Upsilon eta~."""
+    m = len(alpha)
     x_l = ca.SX.sym("x_l", m)
     a, b = column(alpha), column(beta)
-    K = tuple(law.K_l[i][i] for i in range(m))
-    R = tuple(law.R_l[i][i] for i in range(m))
-    driven = ca.mtimes(matrix(law.Upsilon or ()), deviation)
+    K = tuple(K_l[i][i] for i in range(m))
+    R = tuple(R_l[i][i] for i in range(m))
     argument = b * (driven + column(K) * x_l)
 
     def step(h: Fraction, t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        N = [[times(beta[i], K[i] * h * R[i], alpha[i]) if i == j else Fraction(0) for j in range(m)] for i in range(m)]
-        push = column([times(h * R[i], alpha[i]) for i in range(m)])
+        N = [[times(beta[i], K[i], h, R[i], alpha[i]) if i == j else Fraction(0) for j in range(m)] for i in range(m)]
+        push = column([times(h, R[i], alpha[i]) for i in range(m)])
         return matrix(N), argument, x_l - push * t, -a * t
 
     def start(_: Fraction) -> ca.SX:
@@ -204,22 +176,22 @@ def _filter_l(law: NaturalDamping, alpha: Sequence[Gain], beta: Sequence[Gain], 
     return _Part(x_l, _numbered("x_l", m), -column(R) * a * tanh, -a * tanh, step, start, tanh, argument)
 
 
-def _filter_psi(law: Integral, alpha: Sequence[Gain], beta: Sequence[Gain], deviation: ca.SX) -> _Part:
+def _filter_psi(alpha: Sequence[Gain], beta: Sequence[Gain], R_psi: GainMatrix, deviation: ca.SX) -> _Part:
     """(dpsi) with f_psi = -R_psi psi, Psi = diag(alpha beta sech(beta psi)), linearly implicit in the leak."""
-    m = len(law.alpha_psi)
+    m = len(alpha)
     psi = ca.SX.sym("psi", m)
     a, b = column(alpha), column(beta)
     limit = column([Fraction(PSI_RANGE) / v if isinstance(v, Fraction) else PSI_RANGE / v for v in beta])
 
     def step(h: Fraction, _: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        E = exact_inverse(identity_plus(scaled(law.R_psi, h)))
+        E = Implicit.of(R_psi, diagonal([Fraction(1)] * m), h).decay
         push = [times(E[i][i], h, alpha[i], beta[i]) for i in range(m)]  # R_psi is diagonal, and so is E
         moved = ca.mtimes(matrix(E), psi) + column(push) * deviation / ca.cosh(b * psi)
         following = ca.fmax(-limit, ca.fmin(limit, moved))
         empty = ca.SX(0, 1)
         return ca.SX(0, 0), empty, following, -a * ca.tanh(b * following)
 
-    rate = -ca.mtimes(matrix(law.R_psi), psi) + a * b * deviation / ca.cosh(b * psi)
+    rate = -ca.mtimes(matrix(R_psi), psi) + a * b * deviation / ca.cosh(b * psi)
     return _Part(psi, _numbered("psi", m), rate, -a * ca.tanh(b * psi), step, lambda _: ca.SX(m, 1))
 
 
@@ -284,7 +256,7 @@ def _chosen(reading: Reading, absolute: bool) -> ca.SX:
 def build(law: Law, measurement: Measurement, point: Point, read: Needs) -> LawGraph:
     """The formulas of a law whose signals can all be read."""
     base = law.base if isinstance(law, Integral) else law
-    gain, system = measurement.settings.gain, measurement.plant.system
+    gain, gain_matrix, system = measurement.settings.gain, measurement.settings.diagonal_gain, measurement.plant.system
     equilibrium_input = ca.vertcat(
         *[
             measurement.star(system.u[i], v, name, system.units.get(name, ""))
@@ -293,15 +265,18 @@ def build(law: Law, measurement: Measurement, point: Point, read: Needs) -> LawG
     )
     if isinstance(base, PassiveOutput):
         return _passive_output(base, measurement, equilibrium_input, read)
+    K_c, R_c = gain_matrix("K_c", base.K_c), gain_matrix("R_c", base.R_c)
     if isinstance(base, NaturalDamping):
         alpha, beta = gain("alpha_c", base.alpha_c), gain("beta_c", base.beta_c)
-        parts = [_filter_c(alpha, beta, base.K_c, base.R_c, read.gamma)]
-        parts.append(_filter_l(base, gain("alpha_l", base.alpha_l), gain("beta_l", base.beta_l), read.eta))
+        parts = [_filter_c(alpha, beta, K_c, R_c, read.gamma)]
+        alpha, beta = gain("alpha_l", base.alpha_l), gain("beta_l", base.beta_l)
+        K_l, R_l = gain_matrix("K_l", base.K_l), gain_matrix("R_l", base.R_l)
+        parts.append(_filter_l(alpha, beta, K_l, R_l, ca.mtimes(matrix(base.Upsilon or ()), read.eta)))
     else:
-        parts = [_filter_c(gain("alpha", base.alpha), gain("beta", base.beta), base.K_c, base.R_c, read.gamma)]
+        parts = [_filter_c(gain("alpha", base.alpha), gain("beta", base.beta), K_c, R_c, read.gamma)]
     if isinstance(law, Integral):
         alpha, beta = gain("alpha_psi", law.alpha_psi), gain("beta_psi", law.beta_psi)
-        parts.append(_filter_psi(law, alpha, beta, read.gamma))
+        parts.append(_filter_psi(alpha, beta, gain_matrix("R_psi", law.R_psi), read.gamma))
     offset = read.potential if isinstance(base, PotentialCompensation) else equilibrium_input
     return _stack(law, measurement, parts, offset, equilibrium_input)
 

@@ -6,15 +6,15 @@ move with the target, and the gains. The controller stores these numbers beside 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 
 from pbcgen.models.design import Design
-from pbcgen.models.gains import Vector
+from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import Law, gains
 from pbcgen.models.ranges import Range
 from pbcgen.passivity.target_map import TargetMap
@@ -24,6 +24,8 @@ Group = Literal["target", "gains"]
 
 #: A gain in a formula: a number, or the symbol of one that may change.
 Gain = Fraction | ca.SX
+#: Rows of such gains.
+GainMatrix = tuple[tuple[Gain, ...], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,13 +88,13 @@ class Settings:
             Setting("target", name, design.system.units.get(name, ""), found, conditions[name], symbol)
             for (name, found), symbol in zip(design.target_box.items() if targets else (), targets, strict=True)
         ]
-        values = gains(law)
+        values: Mapping[str, Any] = gains(law)
         own: dict[str, tuple[ca.SX, ...]] = {}
         for name, ranges in design.gain_ranges.items():
             labels = [name] if len(ranges) == 1 else [f"{name}_{i + 1}" for i in range(len(ranges))]
             own[name] = tuple(ca.SX.sym(label) for label in labels)
-            for label, found, value, symbol in zip(labels, ranges, values[name], own[name], strict=True):
-                assert isinstance(value, Fraction)
+            given = [v if isinstance(v, Fraction) else v[i] for i, v in enumerate(values[name])]
+            for label, found, value, symbol in zip(labels, ranges, given, own[name], strict=True):
                 settings.append(Setting("gains", label, "", found, value, symbol))
         return Settings(tuple(settings), moving, _gains=own)
 
@@ -104,6 +106,13 @@ class Settings:
             self._store(Stored("gains", ca.SX.sym(s.name()), s.name(), "", s, "gain"), rational(v))
             for s, v in zip(self._gains[name], values, strict=True)
         )
+
+    def diagonal_gain(self, name: str, rows: Matrix) -> GainMatrix:
+        """A gain matrix for use in formulas; one that may change is diagonal."""
+        if name not in self._gains:
+            return rows
+        entries = self.gain(name, tuple(row[i] for i, row in enumerate(rows)))
+        return tuple(tuple(v if i == j else Fraction(0) for j in range(len(rows))) for i, v in enumerate(entries))
 
     def star(self, signal: ca.SX, value: Real, name: str, unit: str = "") -> ca.SX | None:
         """The symbol of a signal e(x, u) at a target that may move, or None if e* stays what it is."""

@@ -80,7 +80,7 @@ def symmetric(value: MatrixLike, what: str) -> Matrix:
 def diagonal_matrix(value: MatrixLike, what: str, *, allow_zero: bool = False) -> Matrix:
     """A diagonal matrix with positive (or nonnegative) entries."""
     result = matrix(value, what)
-    if any(entry for i, row in enumerate(result) for j, entry in enumerate(row) if i != j):
+    if not is_diagonal(result):
         raise ModelError(f"the gain {what} must be diagonal: give a number or the list of its diagonal")
     _check_diagonal(result, what, allow_zero=allow_zero)
     return result
@@ -103,6 +103,11 @@ def diagonal(entries: Sequence[Fraction]) -> Matrix:
     """The diagonal matrix of these entries."""
     size = range(len(entries))
     return tuple(tuple(entries[i] if i == j else Fraction(0) for j in size) for i in size)
+
+
+def is_diagonal(value: Matrix) -> bool:
+    """Whether all entries beside the diagonal are zero."""
+    return not any(entry for i, row in enumerate(value) for j, entry in enumerate(row) if i != j)
 
 
 def sized_vector(value: Vector, m: int, what: str) -> Vector:

@@ -10,14 +10,18 @@ from typing import TYPE_CHECKING, Any
 from pbcgen.errors import ModelError
 from pbcgen.models.exact import Number, exact
 from pbcgen.models.expressions import suggestion
-from pbcgen.models.gains import Vector
+from pbcgen.models.gains import Vector, is_diagonal
 from pbcgen.models.laws import Law, gains
 
 if TYPE_CHECKING:
     from pbcgen.models.design import Target
 
-#: The gains that a running controller may change: those that enter the step as factors.
-RUNTIME_GAINS = ("alpha", "beta", "k_p", "alpha_c", "beta_c", "alpha_l", "beta_l", "alpha_psi", "beta_psi")
+#: The gains that a running controller cannot change, and why.
+_FIXED_GAINS = {"Upsilon": "it mixes the channels of eta"}
+#: Matrices that enter the step by one inverse: either changes only if both are diagonal.
+_COUPLED = ("K_c", "R_c")
+#: The gains that may be zero.
+_MAY_VANISH = ("R_psi",)
 
 #: A range for every channel, or one for each.
 RangeLike = Sequence[Number] | Sequence[Sequence[Number]]
@@ -51,34 +55,50 @@ def target_box(given: Mapping[str, Sequence[Number]] | None, target: Target) -> 
 
 
 def gain_ranges(given: Mapping[str, RangeLike] | None, law: Law, m: int) -> dict[str, tuple[Range, ...]]:
-    """The ranges of the adjustable gains, one for each input.
+    """The ranges of the adjustable gains, one for each input; of matrices that is the diagonal.
 
     Raises ModelError for a gain that the law does not have or that cannot change, and for a range without its value.
     """
     own = gains(law.resolve(m))
-    free = {name: value for name, value in own.items() if name in RUNTIME_GAINS}
+    free = [name for name in own if name not in _FIXED_GAINS]
     for name in given or {}:
-        if name in own and name not in free:
-            raise ModelError(
-                f"gain_ranges names `{name}`: it enters the step through an inverse matrix and cannot change at run "
-                f"time; {', '.join(free)} can"
-            )
+        if name in _FIXED_GAINS and name in own:
+            why = _FIXED_GAINS[name]
+            raise ModelError(f"gain_ranges names `{name}`: {why} and cannot change at run time; {', '.join(free)} can")
         if name not in free:
             raise ModelError(f"gain_ranges names `{name}`, which is no gain of the law: {suggestion(name, free)}")
-    result = {}
-    for name, value in free.items():
-        if given and name in given:
-            result[name] = _ranges(given[name], value, f"gain_ranges `{name}`")  # type: ignore[arg-type]
-    return result
+    return {
+        name: _ranges(given[name], _entries(name, own), f"gain_ranges `{name}`", zero=name in _MAY_VANISH)
+        for name in free
+        if given and name in given
+    }
 
 
-def _ranges(given: Any, value: Vector, what: str) -> tuple[Range, ...]:
+def _entries(name: str, own: Mapping[str, Any]) -> Vector:
+    """The entries of a gain, one for each input. Raises ModelError where a full matrix stands in the way."""
+    if not isinstance(own[name][0], tuple):
+        return tuple(own[name])
+    for other in _COUPLED if name in _COUPLED else (name,):
+        if not is_diagonal(own[other]):
+            raise ModelError(
+                f"gain_ranges names `{name}`, but {other} is a full matrix: the step inverts I + h R_c K_c, so that "
+                "these change at run time only where both are diagonal; give both as diagonals, or let alpha or beta "
+                "change"
+            )
+    return tuple(row[i] for i, row in enumerate(own[name]))
+
+
+def _ranges(given: Any, value: Vector, what: str, zero: bool) -> tuple[Range, ...]:
     rows = list(given) if _is_pairs(given) else [given] * len(value)
     if len(rows) != len(value):
         raise ModelError(f"{what} has {len(rows)} ranges: one, or {len(value)} (one for each input), were expected")
     ranges = tuple(_holding(_range(row, what), [v], what, "the gain") for row, v in zip(rows, value, strict=True))
-    if any(r.lo <= 0 for r in ranges):
-        raise ModelError(f"{what} reaches to zero or below: gains are positive")
+    if any(r.lo < 0 or (r.lo == 0 and not zero) for r in ranges):
+        raise ModelError(
+            f"{what} reaches below zero: this gain is not negative"
+            if zero
+            else f"{what} reaches to zero or below: gains are positive"
+        )
     return ranges
 
 

@@ -50,6 +50,7 @@ class TargetMap:
     symbols: ca.SX
     x: ca.SX
     u: ca.SX
+    how: str = ""
 
     def at_target(self, *expressions: ca.SX) -> list[ca.SX]:
         """Expressions in (x, u) with the equilibrium put in."""

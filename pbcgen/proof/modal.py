@@ -8,6 +8,7 @@ is computed in balls, so that errors of the former only cost strength.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,50 +41,73 @@ def discs_inside(matrix: Varying, kind: Kind) -> bool:
 
     Where eigenvalues nearly meet, eigenvectors are nearly parallel: then an orthonormal basis of their span is tried.
     """
+    return contract([matrix], kind)
+
+
+def contract(family: Sequence[Varying], kind: Kind) -> bool:
+    """Whether all matrices of a family pass in one basis with the same weights d (a no means nothing).
+
+    For "schur" this says ``max_i |(V^-1 z)_i| / d_i`` gets smaller under each of them, so in any sequence too. The
+    basis is that of the first centre.
+    """
     with precision(_BITS):
-        return any(_inside(matrix, kind, grouped) for grouped in (False, True))
+        return any(_inside(family, kind, grouped) for grouped in (False, True))
 
 
-def _inside(matrix: Varying, kind: Kind, grouped: bool) -> bool:
-    modal = _modal(matrix, grouped)
-    if modal is None:
+def _inside(family: Sequence[Varying], kind: Kind, grouped: bool) -> bool:
+    basis = _basis(family[0].centre, grouped)
+    if basis is None:
         return False
-    margins, radii = _margins(modal, kind), [[abs(entry) for entry in row] for row in modal]
-    weights = _weights(radii, margins)
+    found = []
+    for matrix in family:
+        modal = _modal(matrix, basis)
+        if modal is None:
+            return False
+        found.append((_margins(modal, kind), [[abs(entry) for entry in row] for row in modal]))
+    weights = _weights(found)
     if weights is None:
         return False
-    for i, row in enumerate(radii):
-        reach = sum((r * weights[j] for j, r in enumerate(row) if j != i), arb(0))
-        if not reach < margins[i] * weights[i]:
-            return False
+    for margins, radii in found:
+        for i, row in enumerate(radii):
+            reach = sum((r * weights[j] for j, r in enumerate(row) if j != i), arb(0))
+            if not reach < margins[i] * weights[i]:
+                return False
     return True
 
 
 def blurs(matrix: Varying, kind: Kind) -> list[float]:
-    """How much each width adds to the balls that :func:`discs_inside` sees: in modes, relative to their margins."""
+    """How far :func:`contract` is from a proof, below 1 being one, in floating point: now, and with each width halved.
+
+    That is the spectral radius of the entries beside the modes, relative to the margins; no scaling changes it.
+    """
     with precision(_BITS):
         basis = _basis(matrix.centre, grouped=False)
         if basis is None:
-            return [float("inf")] * len(matrix.widths)
+            return [float("inf")] * (1 + len(matrix.widths))
         inverse, V = basis
-        margins = _margins((inverse * acb_mat(matrix.centre) * V).tolist(), kind)
-        own = [abs(float(m.mid())) or 1.0 for m in margins]
-        result = []
-        for slope, width in zip(matrix.slopes, matrix.widths, strict=True):
-            moved = (inverse * acb_mat(slope * width) * V).tolist()
-            result.append(sum(float(abs(v).abs_upper()) / m for row, m in zip(moved, own, strict=True) for v in row))
-        return result
+        centre = (inverse * acb_mat(matrix.centre) * V).tolist()
+        own = np.array([float(m.mid()) for m in _margins(centre, kind)])
+        parts = [
+            (inverse * acb_mat(slope * width) * V).tolist()
+            for slope, width in zip(matrix.slopes, matrix.widths, strict=True)
+        ]
+    moved = [_sizes(part) / own[:, None] for part in parts]
+    total = sum(moved, _sizes(centre) * (1 - np.eye(len(own))) / own[:, None])
+    if not np.all(np.isfinite(total)) or not np.all(own > 0):
+        return [float("inf")] * (1 + len(matrix.widths))
+    return [float(np.abs(np.linalg.eigvals(total - less)).max()) for less in (0 * total, *(m / 2 for m in moved))]
+
+
+def _sizes(rows: list[list[acb]]) -> NDArray[np.float64]:
+    return np.array([[float(abs(v).abs_upper()) for v in row] for row in rows])
 
 
 def _margins(modal: list[list[acb]], kind: Kind) -> list[arb]:
     return [-row[i].real if kind == "hurwitz" else 1 - abs(row[i]) for i, row in enumerate(modal)]
 
 
-def _modal(matrix: Varying, grouped: bool) -> list[list[acb]] | None:
-    """``V^-1 A V``, or None if the eigenvectors of the centre are not found."""
-    basis = _basis(matrix.centre, grouped)
-    if basis is None:
-        return None
+def _modal(matrix: Varying, basis: tuple[acb_mat, acb_mat]) -> list[list[acb]] | None:
+    """``V^-1 A V``, or None if A is not finite."""
     inverse, V = basis
     total = inverse * acb_mat(matrix.centre) * V
     for slope, width in zip(matrix.slopes, matrix.widths, strict=True):
@@ -147,18 +171,20 @@ def _exactly(columns: NDArray[Any]) -> acb_mat:
     return acb_mat([[acb(float(v.real), float(v.imag)) for v in row] for row in columns])
 
 
-def _weights(radii: list[list[arb]], margins: list[arb]) -> list[arb] | None:
+def _weights(found: Sequence[tuple[list[arb], list[list[arb]]]]) -> list[arb] | None:
     """Positive weights that suit the discs best, exact as numbers; None if there are none."""
-    size = len(radii)
-    own = np.array([float(m.lower()) for m in margins])
-    if not np.all(np.isfinite(own)) or not np.all(own > 0):
-        return None
-    R = np.array([[0.0 if i == j else float(radii[i][j].abs_upper()) for j in range(size)] for i in range(size)])
-    R = R / own[:, None]
-    if not np.all(np.isfinite(R)):
+    worst = np.zeros((len(found[0][0]),) * 2)
+    for margins, radii in found:
+        size = len(radii)
+        own = np.array([float(m.lower()) for m in margins])
+        if not np.all(np.isfinite(own)) or not np.all(own > 0):
+            return None
+        R = np.array([[0.0 if i == j else float(radii[i][j].abs_upper()) for j in range(size)] for i in range(size)])
+        worst = np.maximum(worst, R / own[:, None])
+    if not np.all(np.isfinite(worst)):
         return None
     try:
-        d = np.linalg.solve(np.eye(size) - R, np.ones(size))
+        d = np.linalg.solve(np.eye(len(worst)) - worst, np.ones(len(worst)))
     except np.linalg.LinAlgError:
         return None
     return [arb(float(v)) for v in d] if np.all(np.isfinite(d)) and np.all(d > 0) else None

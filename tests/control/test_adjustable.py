@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import casadi as ca
 import numpy as np
 import pytest
 
-from pbcgen import AffineSystem, Design, DynamicExtension, Limits, pipeline
+from pbcgen import AffineSystem, Design, DynamicExtension, Limits, NaturalDamping, pipeline
 from pbcgen.control.cells import Loops
 from pbcgen.control.linearisation import period_matrix
+from pbcgen.control.sampled import Sampling
+from pbcgen.control.step import ReferenceStep
+from pbcgen.control.transition import Transition
 from pbcgen.errors import ModelError, NotProved
 from pbcgen.models.loader import load
 from pbcgen.passivity.plant import Plant
@@ -16,7 +21,7 @@ from pbcgen.passivity.target_map import NotExplicit, TargetMap, target_map
 from pbcgen.proof.claim import Status
 from pbcgen.run.simulate import simulate_sampled
 from pbcgen.run.wrapper import Controller
-from pbcgen.symbolic.real import approximate, rational
+from pbcgen.symbolic.real import BITS, approximate, ball, precision, rational
 
 RLC = load("rlc")
 BOX = {"x3": ("2.9", "3.0515")}
@@ -34,8 +39,9 @@ def spring(force, **options) -> Design:
     system = AffineSystem(
         x=[x1, x2], u=[u], f=[x2, -push - x2], g=[0, 1], S=x2**2 / 2 + energy, measured=["x1"], gamma=[x1]
     )
-    given = {"target": {"x1": "0.5"}, "limits": Limits.symmetric(5), "sample_period": "1e-3"} | options
-    return Design(system, law=DynamicExtension(alpha=2, beta=2, K_c=1, R_c=1), name="spring", **given)
+    law = DynamicExtension(alpha=2, beta=2, K_c=1, R_c=1)
+    given = {"law": law, "target": {"x1": "0.5"}, "limits": Limits.symmetric(5), "sample_period": "1e-3"} | options
+    return Design(system, name="spring", **given)
 
 
 def test_designs_without_settings_have_no_such_claim() -> None:
@@ -63,12 +69,26 @@ def test_the_inverted_pendulum_is_inside_the_box_and_refuted() -> None:
     assert "not stable" in claim.evidence or "Hessian" in claim.evidence
 
 
-def test_an_unstable_cell_inside_the_box_is_never_proved(monkeypatch) -> None:
-    """Both ends are stable, the middle (the upright pendulum) is not."""
+def test_an_unstable_setting_between_stable_corners_is_a_counterexample() -> None:
+    """The ends are stable, the middle (the upright pendulum) is not."""
     design = spring("sine", target_box={"x1": ("0.5", "5.8")})
     weak = design.with_(law=DynamicExtension(alpha="0.2", beta=1, K_c=1, R_c=1), limits=None)
-    monkeypatch.setattr("pbcgen.control.box._CELLS", 100)
-    assert adjustable(weak).status is Status.UNDECIDED
+    claim = adjustable(weak)
+    assert claim.status is Status.REFUTED
+    assert 1.5 < float(claim.counterexample["x1"]) < 4.7
+    assert "narrow it: x1 in [" in claim.hint
+    lo, hi = claim.hint.split("[")[1].split("]")[0].split(", ")
+    assert adjustable(weak.with_(target_box={"x1": (lo, hi)})).status is Status.PROVED
+
+
+def test_the_narrower_range_of_an_open_claim_is_proved(monkeypatch) -> None:
+    design = load("pera").with_(gain_ranges={"beta": [(40, 150), (50, 180), (40, 150)]})
+    monkeypatch.setattr("pbcgen.control.box._CELLS", 30)
+    claim = adjustable(design)
+    assert claim.status is Status.UNDECIDED
+    ranges = [tuple(part.split("]")[0].split(", ")) for part in claim.hint.split("[")[1:]]
+    assert len(ranges) == 3
+    assert adjustable(design.with_(gain_ranges={"beta": ranges})).status is Status.PROVED
 
 
 def test_conditions_that_depend_on_each_other_are_refuted() -> None:
@@ -146,6 +166,100 @@ def _gains(design: Design):
     return gains(design.law.resolve(design.system.m))
 
 
+@pytest.mark.parametrize("delay", ["0", "1/4", "1", "3/2", "2"])
+@pytest.mark.parametrize("name", ["rlc", "coupling_device"])
+def test_the_loops_over_a_point_know_delay_and_period(name: str, delay: str) -> None:
+    alpha = "alpha" if name == "rlc" else "alpha_l"
+    design = load(name)
+    value = _gains(design)[alpha][0]
+    derivation = pipeline.check(design.with_(gain_ranges={alpha: (value / 2, value)})).derivation
+    h, situation = design.sample_period, derivation.situation
+    loops = Loops.of(situation.plant, situation.point, derivation.graph, h, Fraction(delay))
+    transition = Transition(situation.loop, Fraction(delay), steps=h)
+    for share in (1, Fraction(9, 10)):
+        with precision(BITS):
+            period = ball(rational(h * share))
+            expected = transition.real(transition.jet(period))
+        found = loops.at([rational(value)], None if share == 1 else period)["schur"]
+        scale = np.abs(_middle(expected.c0)).max()
+        np.testing.assert_allclose(_middle(found.value), _middle(expected.c0), rtol=1e-9, atol=1e-12 * scale)
+    slope = _middle(expected.c1)
+    np.testing.assert_allclose(_middle(found.slopes[-1]), slope, rtol=1e-9, atol=1e-12 * np.abs(slope).max())
+
+
+def _middle(matrix) -> np.ndarray:
+    return np.array([[float(v.mid()) for v in row] for row in matrix.tolist()])
+
+
+def _adjustable_with(design: Design, **sampling):
+    given = Sampling(**{name: Fraction(value) for name, value in sampling.items()})
+    return next(c for c in pipeline.check(design, sampling=given).claims if c.claim == "adjustable")
+
+
+def test_delay_and_jitter_are_part_of_the_claim() -> None:
+    design = RLC.with_(target_box=BOX, gain_ranges={"alpha": ("0.04", "0.0485")})
+    proved = _adjustable_with(design, delay="1/2", jitter="1/100")
+    assert proved.status is Status.PROVED
+    assert "a delay of 0.5 samples" in proved.evidence
+    assert "periods that vary by 1 %" in proved.evidence
+
+
+def test_a_delay_that_makes_some_setting_unstable_refutes_the_claim() -> None:
+    steep = RLC.with_(gain_ranges={"beta": (1, "2.5")})
+    assert adjustable(steep).status is Status.PROVED
+    late = _adjustable_with(steep, delay="2")
+    assert late.status is Status.REFUTED
+    own = RLC.with_(law=DynamicExtension(RLC.law.alpha, late.counterexample["beta"], RLC.law.K_c, RLC.law.R_c))
+    claims = {c.claim: c.status for c in pipeline.check(own, sampling=Sampling(delay=Fraction(2))).claims}
+    assert claims["sampled-stable"] is not Status.PROVED
+
+
+def test_periods_that_vary_too_much_are_not_proved() -> None:
+    claim = _adjustable_with(RLC.with_(gain_ranges={"alpha": ("0.04", "0.0485")}), jitter="9/10")
+    assert claim.status is not Status.PROVED
+
+
+MATRIX_GAINS = {
+    "rlc": {"K_c": (5, 20), "R_c": (5, 20)},
+    "coupling_device": {"K_c": ("5e5", "2e6"), "R_c": ("0.2", "0.5"), "R_l": (30, 36)},
+    "pera_integral": {"R_psi": [(0, 2), (0, 2), (30, 40)], "K_c": ("0.5", 2)},
+}
+
+
+@pytest.mark.parametrize("name", MATRIX_GAINS)
+def test_entries_of_diagonal_matrices_change_at_run_time(name: str) -> None:
+    design = load(name).with_(gain_ranges=MATRIX_GAINS[name])
+    report = pipeline.check(design)
+    assert next(c for c in report.claims if c.claim == "adjustable").status is Status.PROVED
+    fixed = ReferenceStep(pipeline.check(load(name)).control)
+    step = ReferenceStep(report.control)
+    rng = np.random.default_rng(1)
+    m = rng.normal(scale=np.abs(report.control.rest) * 0.01 + 1e-3, size=(20, len(report.control.inputs)))
+    xi_fixed, xi = fixed.initial, step.initial
+    last = None
+    for row in m + report.control.rest:
+        xi_fixed, u_fixed, _ = fixed(row, xi_fixed, last)
+        xi, last, status = step(row, xi, last)
+        assert status == 0
+        np.testing.assert_allclose(last, u_fixed, rtol=2e-5, atol=1e-4)
+
+
+def test_full_matrices_do_not_change_at_run_time() -> None:
+    law = DynamicExtension(alpha=[1, 1, 1], beta=1, K_c=[[2, 1, 0], [1, 2, 0], [0, 0, 1]], R_c=1)
+    with pytest.raises(ModelError, match=r"`R_c`, but K_c is a full matrix.*diagonal"):
+        load("pera").with_(law=law, gain_ranges={"R_c": (1, 2)})
+    law = NaturalDamping(1, 1, 1, 1, alpha_l=1, beta_l=1, K_l=1, R_l=1, Upsilon=[[2]])
+    with pytest.raises(ModelError, match="`Upsilon`: it mixes the channels"):
+        load("coupling_device").with_(law=law, gain_ranges={"Upsilon": (1, 2)})
+
+
+def test_the_least_stiffness_of_the_filter_decides() -> None:
+    """K_c holds up the pendulum: below a bound the storage has no minimum, and the loop is unstable."""
+    design = spring("sine", target={"x1": "3.1"}, law=DynamicExtension(alpha=2, beta=1, K_c=4, R_c=1), limits=None)
+    assert adjustable(design.with_(gain_ranges={"K_c": (3, 5)})).status is Status.PROVED
+    assert adjustable(design.with_(gain_ranges={"K_c": (1, 5)})).status is Status.REFUTED
+
+
 def test_gains_in_a_range_keep_the_claims_and_bound_the_iterations() -> None:
     design = RLC.with_(gain_ranges={"alpha": ("0.03", "0.0485")})
     report = pipeline.check(design)
@@ -163,7 +277,6 @@ def test_gains_in_a_range_keep_the_claims_and_bound_the_iterations() -> None:
         ({"target_box": {"x3": (0, 1)}}, "must hold the value that the target has, 3.0515"),
         ({"target_box": {"x3": (4, 3)}}, "the lowest value must be below"),
         ({"target_box": {"x3": 3}}, "a pair"),
-        ({"gain_ranges": {"K_c": (1, 20)}}, "cannot change at run time; alpha, beta can"),
         ({"gain_ranges": {"alfa": (1, 20)}}, "did you mean `alpha`"),
         ({"gain_ranges": {"alpha": (0, "0.05")}}, "gains are positive"),
         ({"gain_ranges": {"alpha": [("0.01", "0.05"), (1, 2)]}}, "has 2 ranges: one, or 1"),
@@ -201,7 +314,7 @@ def test_the_c_moves_the_plant_to_another_target() -> None:
 
 @pytest.mark.system
 def test_validation_tries_targets_and_gains() -> None:
-    design = RLC.with_(target_box=BOX, gain_ranges={"alpha": ("0.04", "0.0485")})
+    design = RLC.with_(target_box=BOX, gain_ranges={"alpha": ("0.04", "0.0485"), "K_c": (5, 20), "R_c": (8, 12)})
     validation = pipeline.validate(design, steps=200)
     assert validation.passed
     assert validation.settings is not None

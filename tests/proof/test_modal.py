@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flint import arb, arb_mat
 
-from pbcgen.proof.modal import Varying, blurs, discs_inside
+from pbcgen.proof.modal import Varying, blurs, contract, discs_inside
 
 
 def family(centre, *moves) -> Varying:
@@ -88,5 +88,16 @@ def test_what_is_not_finite_is_refused():
 
 
 def test_the_setting_that_blurs_most_is_named():
-    first, second = blurs(family([[-1, 0], [0, -5]], [[0.5, 0], [0, 0]], [[0, 0], [0, 0.5]]), "hurwitz")
-    assert first > second
+    now, first, second = blurs(family([[-1, 0], [0, -5]], [[0.5, 0], [0, 0]], [[0, 0], [0, 0.5]]), "hurwitz")
+    assert first < now
+    assert second == now  # it moves the mode that has room
+
+
+def test_a_family_that_shrinks_one_norm_may_be_switched_and_others_may_not():
+    turned = [family([[0.5, 0.4], [0, 0.5]]), family([[0.5, -0.4], [0, 0.5]])]
+    assert contract(turned, "schur")
+    growing = [family([[0.5, 2], [0, 0.5]]), family([[0.5, 0], [2, 0.5]])]
+    assert all(discs_inside(m, "schur") for m in growing)
+    product = np.array([[0.5, 2], [0, 0.5]]) @ np.array([[0.5, 0], [2, 0.5]])
+    assert np.abs(np.linalg.eigvals(product)).max() > 1
+    assert not contract(growing, "schur")
