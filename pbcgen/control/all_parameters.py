@@ -28,7 +28,8 @@ from pbcgen.passivity.region import Region, undefined
 from pbcgen.passivity.structure import PowerStructure, candidates, prove
 from pbcgen.proof.claim import CLAIMS, Claim, Status
 from pbcgen.proof.nonnegative import Everywhere, definite, nonnegative, positive
-from pbcgen.proof.refute import Question, refute
+from pbcgen.proof.refute import refute
+from pbcgen.proof.seeker import Question
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import Inconsistent
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, rational, text

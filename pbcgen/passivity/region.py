@@ -12,7 +12,8 @@ from pbcgen.models.exact import decimal
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.branch import Budget, OnBox
 from pbcgen.proof.nonnegative import Everywhere, Prover
-from pbcgen.proof.refute import Question, Search, refute
+from pbcgen.proof.refute import Search, refute
+from pbcgen.proof.seeker import Question
 from pbcgen.symbolic.field import Field
 from pbcgen.symbolic.real import BITS, ZERO, Real, precision
 

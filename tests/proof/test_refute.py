@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from pbcgen.proof.refute import Question, refute
+from pbcgen.proof.refute import refute
+from pbcgen.proof.seeker import Question
 from pbcgen.symbolic.real import REAL, ZERO, rational, sign
 from pbcgen.symbolic.tape import Tape
 
