@@ -42,8 +42,8 @@ def masses(c: tuple[float, ...]) -> AffineSystem:
 def grows(system: AffineSystem) -> float:
     """The largest eigenvalue of the quadratic form grad S^T f."""
     rate = ca.dot(ca.gradient(system.S, system.x), system.f)
-    form = ca.Function("form", [system.x], [ca.hessian(rate, system.x)[0]])
-    return float(np.max(np.linalg.eigvalsh(np.array(form(np.zeros(4))))))
+    form = Plant(system).numeric(ca.hessian(rate, system.x)[0])
+    return float(np.max(np.linalg.eigvalsh(np.array(form(np.zeros(4), np.zeros(1))))))
 
 
 VARIANTS = [(k, factor) for k in range(len(RIGHT)) for factor in (-1.0, 0.0, 1.5, 1 + 1e-6)]

@@ -68,7 +68,7 @@ def port_hamiltonian(draw: random.Random, shape: str, size: int, depth: float) -
 
 
 def circuit(draw: random.Random, shape: str, size: int, depth: float) -> Circuit:
-    """Two sources on one capacitor with a resistor across it that is negative in a band."""
+    """Two sources on one capacitor with a resistor across it whose slope is negative in a band."""
     a, b, v = _symbols("a b v")
     i_G = v * friction(draw, shape, [v], depth)
     g_L = [[-1, 0], [0, -1]]
@@ -82,14 +82,14 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("make, shape, size", CASES)
+@pytest.mark.parametrize(("make", "shape", "size"), CASES)
 def test_it_is_found(make, shape, size):
     draw = random.Random(f"{make.__name__} {shape} {size}")
     claim = assumption_1(Plant(make(draw, shape, size, draw.choice(EXCESS)).lower())).claim
     assert claim.status is Status.REFUTED
 
 
-@pytest.mark.parametrize("make, shape, size", CASES[::2])
+@pytest.mark.parametrize(("make", "shape", "size"), [case for case in CASES if case[0] is not circuit])
 def test_what_only_comes_close_to_zero_is_not_refuted(make, shape, size):
     draw = random.Random(f"{make.__name__} {shape} {size}")
     claim = assumption_1(Plant(make(draw, shape, size, -1e-3).lower())).claim
