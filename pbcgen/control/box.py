@@ -164,7 +164,7 @@ class _Box:
         self.loops = Loops.of(plant, self.situation.point, self.graph, self.design.sample_period, self.sampling.delay)
         if moving is not None:
             self.equilibrium = moving.tape(ca.vertcat(moving.x, moving.u))
-            slopes = [ca.jacobian(u, moving.symbols).T for u in ca.vertsplit(moving.u)]
+            slopes = [moving.slope(u).T for u in ca.vertsplit(moving.u)]
             self.slopes = moving.tape(*slopes)
         self.n = plant.system.n
 

@@ -17,6 +17,7 @@ from flint import arb, arb_mat
 
 from pbcgen.control.graph import LawGraph
 from pbcgen.passivity.plant import Plant, Point
+from pbcgen.passivity.target_map import TargetMap
 from pbcgen.proof.definite import RealMatrix
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, ball, precision, rational, reals
 from pbcgen.symbolic.tape import Tape
@@ -124,6 +125,7 @@ class Loops:
         """Collect every formula; ``point`` is x* where the target does not move, ``delay`` a share of the period."""
         system, settings = plant.system, graph.settings
         symbols = ca.vertcat(*[s.symbol for s in settings.settings])
+        gains = ca.vertcat(*[s.symbol for s in settings.settings if s.group == "gains"])
         rest = ca.SX.sym("rest", system.n + system.m) if settings.moving is None else ca.SX(0, 1)
         formulas = _formulas(plant, graph, period)
         both = ca.vertcat(system.x, system.u)
@@ -137,9 +139,10 @@ class Loops:
                 kept = ca.vertcat(*[s.symbol for s in stored])
                 value = ca.substitute(value, kept, ca.vertcat(*[s.expression for s in stored]))
             results.append(ca.densify(ca.substitute(value, both, star)))
-        slopes = [ca.densify(ca.jacobian(ca.vec(e), symbols)) for e in results]
+        hidden = ca.SX(0, 1) if moving is None else moving.hidden
+        slopes = [ca.densify(_slope(ca.vec(e), moving, gains)) for e in results]
         constants = ca.vertcat(*[symbol for symbol, _ in graph.constants]) if graph.constants else ca.SX(0, 1)
-        inputs = [symbols, rest, graph.xi, graph.t, plant.parameter_symbols, constants]
+        inputs = [symbols, rest, graph.xi, graph.t, plant.parameter_symbols, constants, hidden]
         return Loops(
             graph,
             period,
@@ -198,7 +201,9 @@ class Loops:
     def _parts(self, settings: Sequence[Real]) -> list[Jet]:
         zeros: list[Real] = [ZERO] * self.graph.xi.numel()
         nothing: list[Real] = [ZERO] * self.graph.t.numel()
-        inputs = [list(settings), list(self.rest), zeros, nothing, list(self.parameters), list(self.constants)]
+        moving, own = self.graph.settings.moving, self.graph.settings.targets
+        hidden = [] if moving is None else moving.hidden_at(settings[:own])
+        inputs = [list(settings), list(self.rest), zeros, nothing, list(self.parameters), list(self.constants), hidden]
         walked = self.tape.walk(REAL, inputs)
         jets = []
         for value, slope in zip(walked[: self.count], walked[self.count :], strict=True):
@@ -239,6 +244,12 @@ def _zero_like(matrix: arb_mat) -> arb_mat:
 
 def _matrix(rows: RealMatrix, height: int, width: int) -> arb_mat:
     return arb_mat([[ball(v) for v in row] for row in rows]) if height and width else arb_mat(height, width)
+
+
+def _slope(column: ca.SX, moving: TargetMap | None, gains: ca.SX) -> ca.SX:
+    """The derivative by all settings, targets first."""
+    by_gains = ca.jacobian(column, gains) if gains.numel() else ca.SX(column.numel(), 0)
+    return by_gains if moving is None else ca.horzcat(moving.slope(column), by_gains)
 
 
 def _formulas(plant: Plant, graph: LawGraph, period: Fraction) -> list[ca.SX]:

@@ -300,7 +300,7 @@ class _AtTarget:
         numbers["input_intervals"] = [
             None if r is None else [approximate(r.lo), approximate(r.hi)] for r in limits.ranges
         ]
-        moving = target_map(self.plant, self.design) if self.design.target_box else None
+        moving = target_map(self.plant, self.design, self.point) if self.design.target_box else None
         explicit = moving if isinstance(moving, TargetMap) else None
         settings = Settings.of(self.design, self.law, explicit)
         measurement = Measurement.of(self.plant, self.point, settings)

@@ -98,6 +98,11 @@ class Settings:
                 settings.append(Setting("gains", label, "", found, value, symbol))
         return Settings(tuple(settings), moving, _gains=own)
 
+    @property
+    def targets(self) -> int:
+        """How many settings are targets; these come first."""
+        return sum(s.group == "target" for s in self.settings)
+
     def gain(self, name: str, values: Vector) -> tuple[Gain, ...]:
         """A gain for use in formulas."""
         if name not in self._gains:
@@ -119,7 +124,7 @@ class Settings:
         if self.moving is None:
             return None
         (expression,) = self.moving.at_target(signal)
-        if not ca.depends_on(expression, self.moving.symbols):
+        if not ca.depends_on(expression, self.moving.moving):
             return None
         for stored in self.stored:
             if stored.group == "target" and ca.is_equal(stored.expression, expression, 100):

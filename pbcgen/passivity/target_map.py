@@ -4,13 +4,14 @@ The equations ``f(x) + g(x) u = 0`` and the conditions of the target are solved 
 values as symbols: an equation that is linear in an unknown gives that unknown, and one that holds an unknown inside a
 single invertible function (exp, log, sinh, tanh, ...) is inverted first. Each step keeps exactly the solutions at which
 its divisor is not zero. So the result is the only equilibrium wherever it is defined, and whoever evaluates it in balls
-sees where that is: a divisor that may vanish makes the ball infinite.
+sees where that is: a divisor that may vanish makes the ball infinite. What no such step solves is left to a branch (see
+:mod:`pbcgen.passivity.target_branch`): then the result is the equilibrium that continues the declared one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import casadi as ca
@@ -18,9 +19,10 @@ from flint import fmpq_mpoly
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Condition, Design
-from pbcgen.passivity.plant import Plant
+from pbcgen.passivity.plant import Plant, Point
+from pbcgen.passivity.target_branch import LARGEST, Branch, find_branch
 from pbcgen.symbolic.field import Field, Quotient, evaluate
-from pbcgen.symbolic.real import REAL, ZERO, Real, reals
+from pbcgen.symbolic.real import REAL, ZERO, Real, approximate, reals, undefined
 from pbcgen.symbolic.tape import Tape
 
 #: Functions that take every value of their range once, and their inverses.
@@ -43,14 +45,55 @@ class TargetMap:
     Attributes:
         plant: the system.
         symbols: one for each adjustable condition, a column.
-        x, u: x* and u* in those symbols and the plant's parameters.
+        x, u: x* and u* in those symbols, the unknowns of the branch and the plant's parameters.
+        branch: for unknowns that no formula gives, or None.
     """
 
     plant: Plant
     symbols: ca.SX
     x: ca.SX
     u: ca.SX
-    how: str = ""
+    branch: Branch | None = None
+    rates: ca.SX = field(init=False)
+
+    def __post_init__(self) -> None:
+        unknowns = 0 if self.branch is None else self.branch.z.numel()
+        object.__setattr__(self, "rates", ca.SX.sym("rates", unknowns, self.symbols.numel()))
+
+    @property
+    def moving(self) -> ca.SX:
+        """Everything that moves with the target: the adjustable values and the unknowns of the branch."""
+        return self.symbols if self.branch is None else ca.vertcat(self.symbols, self.branch.z)
+
+    @property
+    def hidden(self) -> ca.SX:
+        """Symbols for the unknowns of the branch and their derivatives by the adjustable values, a column."""
+        return ca.SX(0, 1) if self.branch is None else ca.vertcat(self.branch.z, ca.vec(self.rates))
+
+    def hidden_at(self, values: Sequence[Real]) -> list[Real]:
+        """What ``hidden`` stands for at given values, enclosed; undefined where there is no proof that it exists."""
+        if self.branch is None:
+            return []
+        found = self.branch.enclose(values)
+        if found is None:
+            return [undefined()] * int(self.hidden.numel())
+        columns = range(len(values))
+        return [*found.z, *(row[k] for k in columns for row in found.rates)]
+
+    def slope(self, expression: ca.SX) -> ca.SX:
+        """The derivative of a column by the adjustable values, in these and ``hidden``."""
+        direct = ca.jacobian(expression, self.symbols)
+        if self.branch is None:
+            return direct
+        return direct + ca.mtimes(ca.jacobian(expression, self.branch.z), self.rates)
+
+    @property
+    def how(self) -> str:
+        """How the unknowns of the branch are found, in words."""
+        if self.branch is None:
+            return ""
+        steps = f"{self.branch.steps} Newton step{'s' if self.branch.steps > 1 else ''}"
+        return f" ({steps} from a polynomial of degree {self.branch.degree} reach it)"
 
     def at_target(self, *expressions: ca.SX) -> list[ca.SX]:
         """Expressions in (x, u) with the equilibrium put in."""
@@ -59,16 +102,20 @@ class TargetMap:
         return [ca.substitute(e, both, ca.vertcat(self.x, self.u)) for e in expressions]
 
     def tape(self, *expressions: ca.SX) -> Tape:
-        """The tape of expressions in the adjustable values, for :meth:`walk`."""
-        return Tape.of([self.symbols, self.plant.parameter_symbols], [ca.densify(e) for e in expressions])
+        """The tape of expressions in the adjustable values and ``hidden``, for :meth:`walk`."""
+        inputs = [self.symbols, self.hidden, self.plant.parameter_symbols]
+        return Tape.of(inputs, [ca.densify(e) for e in expressions])
 
     def walk(self, tape: Tape, values: Sequence[Real]) -> list[list[Real]]:
         """The columns of a tape at given values, exact or enclosed, at the current precision."""
         parameters = reals([self.plant.values[name] for name in self.plant.parameter_names])
-        return [[row[0] for row in m.dense(ZERO)] for m in tape.walk(REAL, [list(values), parameters])]
+        inputs = [list(values), self.hidden_at(values), parameters]
+        return [[row[0] for row in m.dense(ZERO)] for m in tape.walk(REAL, inputs)]
 
     def with_numbers(self, expression: ca.SX) -> ca.SX:
-        """The expression with every parameter at its value, rounded to a double."""
+        """The expression in the adjustable values alone: steps written out, parameters rounded to doubles."""
+        if self.branch is not None:
+            expression = ca.substitute(expression, self.branch.z, self.branch.formula)
         values = ca.DM([float(self.plant.values[name]) for name in self.plant.parameter_names])
         symbols = self.plant.parameter_symbols
         return ca.substitute(expression, symbols, values) if symbols.numel() else expression
@@ -83,11 +130,14 @@ class NotExplicit:
     assignable: bool = True
 
 
-def target_map(plant: Plant, design: Design) -> TargetMap | NotExplicit:
-    """Solve the equilibrium equations for the adjustable conditions of the design."""
+def target_map(plant: Plant, design: Design, point: Point | None = None) -> TargetMap | NotExplicit:
+    """Solve the equilibrium equations for the adjustable conditions of the design.
+
+    ``point`` is the declared equilibrium; without it only formulas are looked for.
+    """
     symbols = ca.vertcat(*[ca.SX.sym(f"target {name}") for name in design.target_box])
     try:
-        return _Elimination(plant, design, symbols).run()
+        return _Elimination(plant, design, symbols, point).run()
     except (UnsupportedOperation, ZeroDivisionError) as error:
         return NotExplicit(f"the equilibrium equations are not analytic ({error})", _FIXED)
 
@@ -98,8 +148,8 @@ _FIXED: Final = "leave this design's target fixed: remove target_box, and genera
 class _Elimination:
     """The equations that are left, and what they have given so far."""
 
-    def __init__(self, plant: Plant, design: Design, symbols: ca.SX) -> None:
-        self.plant, self.symbols = plant, symbols
+    def __init__(self, plant: Plant, design: Design, symbols: ca.SX, point: Point | None) -> None:
+        self.plant, self.design, self.symbols, self.point = plant, design, symbols, point
         system = plant.system
         self.names = (*system.state_names, *system.input_names)
         self.unknowns = dict(zip(self.names, ca.vertsplit(ca.vertcat(system.x, system.u)), strict=True))
@@ -109,6 +159,8 @@ class _Elimination:
             *((f"d{n}/dt = 0", e) for n, e in zip(system.state_names, ca.vertsplit(system.xdot), strict=True)),
         ]
         self.solved: dict[str, ca.SX] = {}
+        self.torn: list[int] = []
+        self.residuals: list[ca.SX] = []
 
     def _condition(self, condition: Condition, adjustable: Mapping[str, ca.SX]) -> ca.SX:
         value = adjustable.get(condition.name)
@@ -124,16 +176,49 @@ class _Elimination:
             if not self.left:
                 break
             for k, value in enumerate(values):
-                if not self._unknowns_of(value):
+                if not self._unknowns_of(value) and not value.symbols() & set(self.torn):
                     return self._not_assignable(self.left[k][0])
-            if not (self._solve_linear(field, values) or self._invert(field, values)):
-                return self._stuck(values)
-        missing = [name for name in self.names if name not in self.solved]
-        if missing:
+            kept = [k for k, value in enumerate(values) if self._unknowns_of(value)]
+            self.residuals += [self.left[k][1] for k in range(len(values)) if k not in kept]
+            self.left, values = [self.left[k] for k in kept], [values[k] for k in kept]
+            if self.left and not (self._solve_linear(field, values) or self._invert(field, values)):
+                if self.point is None or len(self.torn) == LARGEST:
+                    return self._stuck(values)
+                self._tear(values)
+        missing = [name for k, name in enumerate(self.names) if name not in self.solved and k not in self.torn]
+        if missing or len(self.residuals) < len(self.torn):
+            missing = missing or [self.names[k] for k in self.torn]
             return NotExplicit(f"the target does not determine {', '.join(missing)}", "add conditions to the target")
+        return self._map()
+
+    def _tear(self, values: Sequence[Quotient]) -> None:
+        """Take one unknown as known: that of the equation with the fewest which most equations hold."""
+        shortest = min(values, key=lambda v: len(self._unknowns_of(v)))
+        self.torn.append(
+            max(sorted(self._unknowns_of(shortest)), key=lambda k: sum(k in self._unknowns_of(v) for v in values))
+        )
+
+    def _map(self) -> TargetMap | NotExplicit:
         n = self.plant.system.n
-        column = ca.vertcat(*[self.solved[name] for name in self.names])
-        return TargetMap(self.plant, self.symbols, column[:n], column[n:])
+        column = ca.vertcat(*[self.solved.get(name, self.unknowns[name]) for name in self.names])
+        if not self.torn:
+            return TargetMap(self.plant, self.symbols, column[:n], column[n:])
+        names = [self.names[k] for k in self.torn]
+        label = f"the equations for {', '.join(names)} have no explicit solution"
+        if len(self.residuals) > len(self.torn):
+            return NotExplicit(f"{label}, and are more than these unknowns", _FIXED)
+        assert self.point is not None
+        own = ca.vertcat(*[self.unknowns[name] for name in names])
+        z = ca.vertcat(*[ca.SX.sym(f"solved {name}") for name in names])
+        column, equations = (ca.substitute(e, own, z) for e in (column, ca.vertcat(*self.residuals)))
+        values = {c.name: float(c.value) for c in self.design.target.conditions}
+        rest = [approximate(v) for v in (*self.point.x, *self.point.u)]
+        declared = ([values[name] for name in self.design.target_box], [rest[k] for k in self.torn])
+        box = [(r.lo, r.hi) for r in self.design.target_box.values()]
+        branch = find_branch(self.plant, self.symbols, z, equations, box, declared)
+        if isinstance(branch, str):
+            return NotExplicit(f"{label}: {branch}", f"narrow the box, or {_FIXED}")
+        return TargetMap(self.plant, self.symbols, column[:n], column[n:], branch)
 
     def _exact(self) -> tuple[Field, list[Quotient]]:
         expressions = ca.vertcat(*[e for _, e in self.left])
@@ -143,7 +228,7 @@ class _Elimination:
         return field, matrix.column(field.const(0))
 
     def _unknowns_of(self, value: Quotient) -> set[int]:
-        return {k for k in value.symbols() if k < len(self.names)}
+        return {k for k in value.symbols() if k < len(self.names) and k not in self.torn}
 
     def _solve_linear(self, field: Field, values: Sequence[Quotient]) -> bool:
         """Solve one equation for an unknown in which it is linear; prefer constant divisors, then few unknowns."""

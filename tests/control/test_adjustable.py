@@ -98,16 +98,44 @@ def test_conditions_that_depend_on_each_other_are_refuted() -> None:
     assert "not independent" in claim.evidence
 
 
-def test_a_target_without_explicit_equilibrium_is_undecided_with_advice() -> None:
-    design = spring("cubic")
+def forced(kind: str, value: str, near: str, box: tuple[str, str]) -> Design:
+    """A spring whose target is its force: x* has no formula."""
+    design = spring(kind)
     x1 = design.system.x[0]
-    design = design.with_(target={"force": (x1**3 + x1, "0.625")}, target_box={"force": ("0.5", 1)})
+    force = {"cubic": x1**3 + x1, "sine": ca.sin(x1)}[kind]
+    return design.with_(target={"force": (force, value)}, near={"x1": near}, target_box={"force": box})
+
+
+def test_a_target_without_formula_is_followed_by_newton_steps() -> None:
+    claim = adjustable(forced("cubic", "0.625", "0.5", ("0.5", "1")))
+    assert claim.status is Status.PROVED
+    assert "Newton steps from a polynomial of degree 6 reach it" in claim.evidence
+
+
+def test_a_box_beyond_the_turning_point_of_the_equilibrium_is_undecided_with_advice() -> None:
+    assert adjustable(forced("sine", "0.479426", "0.5", ("-0.9", "0.95"))).status is Status.PROVED
+    design = forced("sine", "0.479426", "0.5", ("-0.9", "1.1"))
     claim = adjustable(design)
     assert claim.status is Status.UNDECIDED
-    assert "no explicit solution for x1" in claim.evidence
-    assert "fixed" in claim.hint
+    assert "could not be followed" in claim.evidence
+    assert "narrow the box" in claim.hint
     with pytest.raises(NotProved, match="adjustable is UNDECIDED"):
         pipeline.package(pipeline.check(design))
+
+
+@pytest.mark.system
+@pytest.mark.parametrize(("precision", "error"), [("float", 3e-7), ("double", 2e-15)])
+def test_the_c_solves_for_the_equilibrium_of_a_target_without_formula(precision, error) -> None:
+    report = pipeline.check(forced("cubic", "0.625", "0.5", ("0.5", "1")).with_(precision=precision))
+    with Controller.of_package(pipeline.package(report)) as controller:
+        for force in np.linspace(0.5, 1, 21):
+            assert controller.set_target(force=force) == "SPRING_OK"
+            x = controller.state["x1_star"]
+            assert x**3 + x == pytest.approx(np.float32(force) if precision == "float" else force, rel=error)
+        before = controller.state
+        for refused in (0.4999, 1.0001, float("nan"), float("-inf")):
+            assert controller.set_target(force=refused) == "SPRING_INVALID_SETTING"
+        assert controller.state == before
 
 
 def test_the_map_solves_through_an_exponential() -> None:
