@@ -31,15 +31,48 @@ _ATOMS = 96
 # --- the invariant set -------------------------------------------------------------------------------------------
 
 
-def steps_to_rest(system: Stability, terms: Writing) -> tuple[Elimination, Steps] | None:
-    """The chain of steps after which nothing moves, or None."""
+def steps_to_rest(system: Stability, terms: Writing) -> tuple[Elimination, dict[str, Any]] | None:
+    """The chain of steps after which nothing moves, and which combinations of equations the rates are; or None."""
     chain = system.rest()
-    steps = eliminate(chain, terms, range(len(system.field.symbols)))
-    return (chain, steps) if all(chain.reduced(v).top.is_zero() for v in system.rates) else None
+
+    def rates() -> dict[str, dict[str, str]] | None:
+        equations, found = [chain.reduced(e) for e in chain.equations], {}
+        for i, rate in enumerate(system.rates):
+            weights = _weights(chain.reduced(rate), equations)
+            if weights is None:
+                return None
+            found[str(i)] = {str(j): str(c) for j, c in weights.items()}
+        return {i: row for i, row in found.items() if row}
+
+    steps = eliminate(chain, terms, range(len(system.field.symbols)), lambda: rates() is not None)
+    combined = rates()
+    return None if combined is None else (chain, {"steps": steps} | ({"rates": combined} if combined else {}))
 
 
-def eliminate(chain: Elimination, terms: Writing, order: Sequence[int]) -> Steps:
-    """Solve equations for variables and take Lie derivatives until nothing new appears."""
+def _weights(function: Function, others: Sequence[Function], up_to_constant: bool = False) -> dict[int, fmpq] | None:
+    """Constant weights with which a function is a combination of others, or None."""
+    common = function.bottom
+    for bottom in (other.bottom for other in others):
+        common = common * bottom / common.gcd(bottom)
+    if up_to_constant and not common.is_constant():
+        return None
+    rows: dict[Any, Row] = {}
+    for key, sign, f in ((CONSTANT, -1, function), *((k, 1, other) for k, other in enumerate(others))):
+        for exponents, c in (f.top * (common / f.bottom)).to_dict().items():
+            rows.setdefault(exponents, {})[key] = c * sign
+    try:
+        solution = particular_solution(
+            reduce_rows([row for e, row in rows.items() if any(e) or not up_to_constant]), fmpq(0)
+        )
+    except Inconsistent:
+        return None
+    return {int(str(k)): c for k, c in solution.items() if c}
+
+
+def eliminate(
+    chain: Elimination, terms: Writing, order: Sequence[int], enough: Callable[[], bool] = lambda: False
+) -> Steps:
+    """Solve equations for variables and take Lie derivatives until that is enough, or nothing new appears."""
     steps: Steps = []
     derived: set[int] = set()
     for _ in range(_ROUNDS * len(order)):
@@ -49,7 +82,7 @@ def eliminate(chain: Elimination, terms: Writing, order: Sequence[int]) -> Steps
                 return steps
             steps.append([source, k, terms.function(value), *([kind, str(fraction(scale))] if kind else [])])
         open_ = [i for i, e in enumerate(chain.equations) if i not in derived and _is_open(chain.reduced(e))]
-        if not open_:
+        if not open_ or not any(rate.top for rate in chain.rates) or enough():
             return steps
         for i in open_:
             derived.add(i)
@@ -222,7 +255,7 @@ def growth(
     if ordered is None:
         return None
     coordinates, others = ordered
-    rows = [{} if o else _combination(field, g, squares, terms) for g, o in zip(gamma, outgrown, strict=True)]
+    rows = [{} if o else _combination(g, squares, terms) for g, o in zip(gamma, outgrown, strict=True)]
     excess = _excess(field, rest, terms)
     excess += [[str(s.number()), [], [terms.function(t)]] for s, t in others]
     if any(row is None for row in rows):
@@ -340,23 +373,12 @@ def _ordered(
 
 
 def _combination(
-    field: Field, gamma: Function, squares: Sequence[tuple[Function, Function]], terms: Writing
+    gamma: Function, squares: Sequence[tuple[Function, Function]], terms: Writing
 ) -> dict[str, str] | None:
     """gamma as a combination of the coordinates with constant weights, up to a constant."""
     basis = [t for s, t in squares if s.number() is not None]
-    if any(not f.bottom.is_constant() for f in (gamma, *basis)):
-        return None
-    rows: dict[Any, Row] = {}
-    for k, t in enumerate(basis):
-        for exponents, c in t.top.to_dict().items():
-            rows.setdefault(exponents, {})[k] = c
-    for exponents, c in gamma.top.to_dict().items():
-        rows.setdefault(exponents, {})[CONSTANT] = -c
-    try:
-        solution = particular_solution(reduce_rows([row for e, row in rows.items() if any(e)]), fmpq(0))
-    except Inconsistent:
-        return None
-    return {str(terms.function(basis[int(str(k))])): str(c) for k, c in solution.items() if c}
+    weights = _weights(gamma, basis, up_to_constant=True)
+    return None if weights is None else {str(terms.function(basis[k])): str(c) for k, c in weights.items()}
 
 
 def _excess(field: Field, rest: Function, terms: Writing) -> list[list[Any]]:

@@ -26,6 +26,7 @@ from pbcgen.models.identity import canonical_text, model_hash
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.models.laws import gains as gains_of
 from pbcgen.passivity.assignable import greedy_rows, residual_of
+from pbcgen.passivity.equilibrium import combination
 from pbcgen.passivity.plant import Point
 from pbcgen.passivity.shaping import diagonal, exact_matrix, extended_hessian, shape_at
 from pbcgen.proof.claim import Claim, Status
@@ -155,30 +156,47 @@ def _witness(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, 
 
 
 def _equilibrium(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
-    """Exact coordinates, a centre for the others, and the equations that determine them."""
+    """Exact coordinates, a centre for the others, the equations that determine them, and how the rest follow.
+
+    First with a short decimal for every coordinate that can only be that; then with these among the unknowns, where an
+    equation would not hold exactly.
+    """
     point, system = derivation.point, derivation.plant.system
     if point is None:
         return None
     values = dict(zip((*system.state_names, *system.input_names), (*point.x, *point.u), strict=True))
-    known = {name: str(exact) for name, value in values.items() if (exact := _exactly(value)) is not None}
-    unknown = {name: _decimal(midpoint(value)) for name, value in values.items() if name not in known}
-    rows = _equations(derivation, point, [k for k, name in enumerate(values) if name in unknown])
-    entries = [rational(Fraction(known[name])) if name in known else value for name, value in values.items()]
-    sharp = Point(tuple(entries[: system.n]), tuple(entries[system.n :]))
     conditions = [residual_of(c) for c in derivation.design.target.conditions]
-    (residuals,) = derivation.plant.at(sharp, ca.vertcat(system.xdot, *conditions))
-    if any(sign(row[0]) != 0 for k, row in enumerate(residuals) if k not in rows):
-        return None  # an equation that only follows from the others: the checker does not combine them
-    return {"known": known, "unknown": unknown, "radius": _RADIUS, "rows": rows}
+    expressions = ca.vertcat(system.xdot, *conditions)
+    guessed = {name: exact for name, value in values.items() if (exact := _exactly(value)) is not None}
+    certain = {name: fraction(value) for name, value in values.items() if isinstance(value, fmpq)}
+    for known in (guessed, certain):
+        rows = _equations(derivation, point, expressions, [k for k, name in enumerate(values) if name not in known])
+        entries = [rational(known[name]) if name in known else value for name, value in values.items()]
+        sharp = Point(tuple(entries[: system.n]), tuple(entries[system.n :]))
+        (residuals,) = derivation.plant.at(sharp, expressions)
+        open_ = [k for k, row in enumerate(residuals) if k not in rows and sign(row[0]) != 0]
+        follows = {}
+        for k in open_:
+            weights = combination(derivation.plant, expressions[k], expressions[rows], known)
+            if weights is not None:
+                follows[str(k)] = {str(j): str(w) for j, w in zip(rows, weights, strict=True) if w}
+        if len(rows) == len(values) - len(known) and len(follows) == len(open_):
+            witness = {
+                "known": {name: str(value) for name, value in known.items()},
+                "unknown": {name: _decimal(midpoint(value)) for name, value in values.items() if name not in known},
+                "radius": _RADIUS,
+                "rows": rows,
+            }
+            return witness | ({"follows": follows} if follows else {})
+    return None
 
 
-def _equations(derivation: Derivation, point: Point, unknown: list[int]) -> list[int]:
+def _equations(derivation: Derivation, point: Point, expressions: ca.SX, unknown: list[int]) -> list[int]:
     """As many equations as unknowns, with independent gradients at x*."""
     if not unknown:
         return []
     system = derivation.plant.system
-    conditions = [c.expression for c in derivation.design.target.conditions]
-    slope = ca.jacobian(ca.vertcat(system.xdot, *conditions), ca.vertcat(system.x, system.u)[unknown])
+    slope = ca.jacobian(expressions, ca.vertcat(system.x, system.u)[unknown])
     (matrix,) = derivation.plant.at(point, ca.densify(slope))
     return greedy_rows(np.array([[approximate(v) for v in row] for row in matrix]))
 
@@ -244,17 +262,6 @@ def _gain(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any
     return None if found is None else {"gain": name} | found
 
 
-def _unassignable(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
-    """Rows of ``[f, g]`` that are independent at a target given in full."""
-    system, target = derivation.plant.system, derivation.design.target
-    values = {c.name: c.value for c in target.conditions}
-    if not {*values} >= {*system.state_names}:
-        return None
-    x = [float(values[name]) for name in system.state_names]
-    field = derivation.plant.numeric(ca.densify(ca.horzcat(system.f, system.g)))(x, [0.0] * system.m)
-    return {"rows": greedy_rows(np.array(field))}
-
-
 def _supplied(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
     point = (claim.counterexample or {})["x"]
     if derivation.plant.system.gamma is None:
@@ -289,7 +296,6 @@ _PROVED: Mapping[str, _Maker] = {
     "gradient-condition": _gradient,
 }
 _REFUTED: Mapping[str, _Maker] = {
-    "equilibrium": _unassignable,
     "input-rank": _direction(_input_gram),
     "assumption-1": _state,
     "passive-output": _supplied,

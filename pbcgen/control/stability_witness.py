@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from flint import arb, arb_mat, ctx, fmpq
 
-from pbcgen.control.attraction_witness import growth, read, steps_to_rest, uniqueness
+from pbcgen.control.attraction_witness import eliminate, growth, read, steps_to_rest, uniqueness
 from pbcgen.control.derive import Derivation
 from pbcgen.control.dissipation_witness import sampled_damping
 from pbcgen.control.writing import Writing
@@ -20,6 +20,7 @@ from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.lyapunov import Kind, lyapunov
 from pbcgen.reading.system import Fails
 from pbcgen.symbolic.linear import Inconsistent, Row, reduce_rows, solve
+from pbcgen.symbolic.plain.elimination import Elimination
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, krawczyk, stable
 from pbcgen.symbolic.plain.values import Grow, NotCheckable, partial, plain, variables
@@ -43,8 +44,6 @@ Witness = dict[str, Any] | None
 def stability_witnesses(derivation: Derivation, document: Mapping[str, Any], terms: Writing) -> dict[str, Witness]:
     """The witnesses by claim; what cannot be shown has none. ``terms`` takes their formulas."""
     wanted = {c.claim: c for c in derivation.claims if c.status is not Status.UNDECIDED}
-    if derivation.situation is None or "asymptotically-stable" not in wanted:
-        return {}
     bits, settings = ctx.prec, (16,)  # type: int, tuple[Any, ...]
     try:
         for _ in range(100):
@@ -77,6 +76,14 @@ class _Work:
         except _GIVE_UP:
             return None
 
+    def unassignable(self, claim: Claim) -> Witness:
+        """`equilibrium` REFUTED: what the equations give one after the other."""
+        if claim.status is not Status.REFUTED:
+            return None
+        symbols = range(len(self.system.field.symbols))
+        chain = Elimination(self.system.field, [self.system.field.lift(0)] * len(symbols), self.system.equations({}))
+        return {"steps": eliminate(chain, self.terms, symbols)}
+
     def local(self, claim: Claim) -> Witness:
         """`stable` and `asymptotically-stable`."""
         system = self.system
@@ -88,7 +95,7 @@ class _Work:
         if stable(system.continuous, False):
             return None
         found = steps_to_rest(system, self.terms)
-        return None if found is None else {"steps": found[1]}
+        return None if found is None else found[1]
 
     def _conserved(self) -> Witness:
         """A constant combination of the states that no input changes."""
@@ -149,7 +156,7 @@ class _Work:
         alone = None if found is None else uniqueness(self.system, found[0], self.terms, self._power)
         if grown is None or found is None or alone is None:
             return None
-        return grown | {"steps": found[1]} | alone
+        return grown | found[1] | alone
 
     def _power(self) -> list[list[int | None]]:
         """The places of N with ``grad S = N f``: A, or the inverse of F."""
@@ -204,6 +211,7 @@ class _Work:
 
 
 _MAKERS = {
+    "equilibrium": _Work.unassignable,
     "asymptotically-stable": _Work.local,
     "globally-asymptotically-stable": _Work.everywhere,
     "sampled-stable": _Work.sampled,

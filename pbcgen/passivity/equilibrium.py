@@ -21,11 +21,13 @@ from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.smooth import smooth_forms
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
-from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, reduce_rows
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import (
     BITS,
+    ZERO,
     Real,
     approximate,
+    fraction,
     is_finite,
     lower,
     precision,
@@ -98,9 +100,14 @@ def _search(
     with precision(BITS):
         points = [p for z in square.zeros() if (p := square.enclose(z)) is not None]
     points = [p for p in points if _outside_domain(plant, _by_name(plant, p)) is None]
-    completions = tuple(_rounded(plant, p) for p in points)
     if not points:
         return _no_zero(plant, design, equations, square)
+    residuals = [[row[0] for row in plant.at(p, equations.expressions)[0]] for p in points]
+    fitting = [p for p, values in zip(points, residuals, strict=True) if not {1, -1} & {sign(v) for v in values}]
+    if not fitting:  # there may be zeros that the search did not find
+        why = "no rest position that was found meets all conditions of the target"
+        return Equilibrium(_undecided(why, residuals[0]), None, tuple(_rounded(plant, p) for p in points))
+    points, completions = fitting, tuple(_rounded(plant, p) for p in fitting)
     if len(points) > 1 and not design.near:
         return Equilibrium(_ambiguous(completions), None, completions)
     point = points[0]
@@ -120,10 +127,8 @@ def _accept(
     """The verdict on a zero of the square system: the equations that it left out must hold too, exactly."""
     (residuals,) = plant.at(point, equations.expressions)
     values = [row[0] for row in residuals]
-    if any(sign(v) in (1, -1) for v in values):
-        return _not_assignable(plant, design, equations, point, values)
     open_rows = [i for i, v in enumerate(values) if i not in square.rows and sign(v) != 0]
-    if not all(_implied(plant, equations.expressions[i], square) for i in open_rows):
+    if any(combination(plant, equations.expressions[i], square.expressions, square.known) is None for i in open_rows):
         why = f"{len(open_rows)} equations beyond the unknowns hold within balls only"
         return Equilibrium(_undecided(why, values), None, completions)
     unfit = _no_neighbourhood(plant, point)
@@ -134,25 +139,25 @@ def _accept(
     return Equilibrium(_proved(plant, point, "Krawczyk test in ball arithmetic", evidence), point, completions)
 
 
-def _implied(plant: Plant, expression: ca.SX, square: SquareSystem) -> bool:
-    """Whether an equation is a combination, with constant coefficients, of those of the square system."""
+def combination(plant: Plant, expression: ca.SX, others: ca.SX, known: Mapping[str, Fraction]) -> list[Fraction] | None:
+    """Constant coefficients with which an equation is a combination of others where some values are known, or None."""
     try:
-        field, (values,) = plant.exact(ca.vertcat(expression, square.expressions), known=square.known)
+        field, (values,) = plant.exact(ca.vertcat(expression, others), known=known)
     except (UnsupportedOperation, ZeroDivisionError):
-        return False
+        return None
     functions = values.column(field.const(0))
     if not all(function.is_polynomial() for function in functions):
-        return False
+        return None
     rows: dict[object, Row] = {}
     for k, function in enumerate(functions):
         for exponents, coefficient in function.numerator.to_dict().items():
             key, value = (CONSTANT, -coefficient) if k == 0 else (k, coefficient)
             rows.setdefault(tuple(exponents), {})[key] = value
     try:
-        reduce_rows(rows.values())
+        solution = particular_solution(reduce_rows(rows.values()), ZERO)
     except Inconsistent:
-        return False
-    return True
+        return None
+    return [fraction(solution.get(k, ZERO)) for k in range(1, len(functions))]
 
 
 # --- verdicts ---------------------------------------------------------------------------------------------------

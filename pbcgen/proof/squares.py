@@ -125,6 +125,7 @@ def _polynomial(
         return None
     found = _by_pairs(field, polynomial, known, depth)
     found = found if found is not None else _by_factors(field, polynomial, known, depth, leaf)
+    found = found if found is not None else _by_ends(field, polynomial, known, depth)
     return found if found is not None or leaf is None else leaf(field, polynomial)
 
 
@@ -183,6 +184,27 @@ def _by_factors(
         remaining *= factor
     squares = None if remaining == polynomial else _polynomial(field, remaining, known, depth - 1, leaf)
     return None if squares is None else _product([square], squares)
+
+
+def _by_ends(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> list[Square] | None:
+    """Linear in T with values in [-1, 1], from both ends of the interval.
+
+    ``2 p(T) = (1 + T) p(1) + (1 - T) p(-1)``, and ``2 (1 +- T) = (1 +- T)^2 + (1 - T^2)``.
+    """
+    k = next((k for k in sorted(known.bounded) if polynomial.degrees()[k] == 1), None)
+    if k is None:
+        return None
+    generators, one = field.context.gens(), field.const(1)
+    result: list[Square] = []
+    for end in (1, -1):
+        at_end = polynomial.compose(*generators[:k], field.context.constant(end), *generators[k + 1 :])
+        squares = _polynomial(field, at_end, known, depth - 1)
+        if squares is None:
+            return None
+        toward = Square(fmpq(1, 4), (), (one + field.polynomial(generators[k] * end),))
+        spread = Square(fmpq(1, 4), (Factor(field.atoms[k].kind, field.atoms[k].argument, None),), (one,))
+        result += _product([toward, spread], squares)
+    return result
 
 
 def _product(left: Sequence[Square], right: Sequence[Square]) -> list[Square]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
 from typing import Any
 
 from flint import fmpq
@@ -31,18 +30,13 @@ class Sums(System):
 
     def __init__(self, document: Mapping[str, Any], *settings: Any) -> None:
         super().__init__(document, *settings)
-        self.readings, self.terms = Formulas.parse(document["readings"]), Formulas.parse(document["terms"])
+        self.readings = Formulas.parse(document["readings"])
         self.witness: Mapping[str, Mapping[str, Any]] = {c["claim"]: c["witness"] or {} for c in document["claims"]}
         self.domain, self.status = ({c["claim"]: c[key] for c in document["claims"]} for key in ("domain", "status"))
 
     def given(self, claim: str, name: str) -> list[fmpq]:
         """Numbers of a witness."""
         return [rational(v) for v in self.witness[claim][name]]
-
-    @cached_property
-    def placed(self) -> list[Any]:
-        """The terms of the witnesses as exact functions of state and input."""
-        return self.terms.walk(self.field.lift, {"state": self.field.symbols}) if self.exact else []
 
     def vector(self, places: Sequence[int | None]) -> list[Any]:
         """Terms by their places; None is zero."""

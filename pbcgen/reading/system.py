@@ -41,7 +41,7 @@ class System:
 
     def __init__(self, document: Mapping[str, Any], *settings: Any) -> None:
         self.model = Model.parse("\n".join(document["model"]))
-        self.formulas = Formulas.parse(document["formulas"])
+        self.formulas, self.terms = (Formulas.parse(document[name]) for name in ("formulas", "terms"))
         self.enclosure = next((c["witness"] for c in document["claims"] if c["claim"] == "equilibrium"), None) or {}
         self.states, self.inputs, self.law = (self.model.words[name] for name in ("states", "inputs", "law"))
         self.n, self.m, self.half = len(self.states), len(self.inputs), len(self.states) // 2
@@ -69,6 +69,11 @@ class System:
         found = self.walk(variables(self.field.symbols[: self.n]), self.still)
         self.field.closed = True
         return found
+
+    @cached_property
+    def placed(self) -> list[Any]:
+        """The terms of the witnesses as exact functions of state and input."""
+        return self.terms.walk(self.field.lift, {"state": self.field.symbols}) if self.exact else []
 
     def functions(self, name: str) -> Matrix:
         """A matrix of exact functions."""
@@ -137,22 +142,38 @@ class System:
         radius = rational(witness["radius"])
         box = krawczyk(lambda values: [self._residuals(at(values))[k] for k in rows], centre, radius) if rows else []
         require(box is not None, "Krawczyk's test does not hold")
-        others = [v for k, v in enumerate(self._residuals(at(box or []))) if k not in rows]
-        require(all(sign(v) == 0 for v in others), "an equation does not hold exactly")
+        values, follows = self._residuals(at(box or [])), witness.get("follows", {})
+        for k, value in enumerate(values):
+            if str(k) in follows:
+                self._follows(k, follows[str(k)], rows, known)
+            require(k in rows or str(k) in follows or sign(value) == 0, "an equation does not hold exactly")
         z = at(box or [])
         require(self.inside(z, {1}), "x* is not in the interior of the domain")
         return [z[name] for name in self.states], [z[name] for name in self.inputs]
 
-    def _residuals(self, z: Mapping[str, Any]) -> list[Any]:
+    def _residuals(self, z: Mapping[str, Any], lift: Callable[[fmpq], Any] = fmpq) -> list[Any]:
         """``f + g u``, and the differences of the target's expressions from their values."""
-        found = self.walk([z[name] for name in self.states])
+        found = self.walk([z[name] for name in self.states], lift)
         rates = plus(found["f"], product(found["g"], [[z[name]] for name in self.inputs]))
         target = [found[f"target {name}"][0][0] - value for name, value in self.model.target.items()]
         return [row[0] for row in rates] + target
 
+    def equations(self, known: Mapping[str, fmpq]) -> list[Function]:
+        """The same as exact functions of (x, u), some of which are known; zero at an equilibrium that is asked for."""
+        names = [*self.states, *self.inputs]
+        z = {name: self.field.lift(known.get(name, v)) for name, v in zip(names, self.field.symbols, strict=True)}
+        return [self.field.lift(v) for v in self._residuals(z, self.field.lift)] if self.exact else []
+
+    def _follows(self, k: int, weights: Mapping[str, str], rows: Sequence[int], known: Mapping[str, fmpq]) -> None:
+        """Equation k is a combination of others that hold."""
+        require({*map(int, weights)} <= {*rows}, "an equation follows from others that are not shown")
+        found = self.equations(known)
+        rest = [found[k], *(found[int(j)] * -rational(weight) for j, weight in weights.items())]
+        self.zero([sum(rest, self.field.lift(0))], "an equation does not follow from the others")
+
     def inside(self, z: Mapping[str, Any], slack: Collection[int] = (0, 1)) -> bool:
-        """Whether states are in the domain for sure; by default the edge is part of it."""
-        bounds = [(z[name], *interval) for name, interval in self.model.domain.items()]
+        """Whether these states are in the domain for sure; by default the edge is part of it."""
+        bounds = [(z[name], *interval) for name, interval in self.model.domain.items() if name in z]
         return all((a is None or sign(v - a) in slack) and (b is None or sign(b - v) in slack) for v, a, b in bounds)
 
     @cached_property

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-from flint import arb_mat, fmpq
+from flint import fmpq
 
 from pbcgen.reading.sums import Sums
 from pbcgen.reading.system import require
+from pbcgen.symbolic.plain.elimination import Elimination
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, is_definite, plus, product, transpose
 from pbcgen.symbolic.plain.values import INCREASING, NotCheckable, plain, sign, variables
@@ -50,17 +52,25 @@ class Assumptions(Sums):
         require(self.point, "there is no equilibrium")
 
     def refuted_equilibrium(self) -> None:
-        """At a target given in full: it is outside the domain, or f is not in the span of g."""
-        if not {*self.model.target} >= {*self.states}:
-            raise NotCheckable("the target is not given in full")
-        own = [self.column(f"target {name}")[0] - v for name, v in zip(self.states, self.field.symbols, strict=False)]
-        self.zero(own, "a target has the name of a state and is another")
-        x, target = [self.model.target[name] for name in self.states], self.model.target
-        if not self.inside(target):
-            return
-        found, rows = self.walk(x), self.witness["equilibrium"]["rows"]
-        minor = [[*found["f"][k], *found["g"][k]] for k in rows]
-        require(len({*rows}) == self.m + 1 and sign(arb_mat(minor).det()) in (1, -1), "f may lie in the span of g")
+        """What the equations give one after the other leaves one without solution, or a state outside the domain."""
+        nothing = [self.field.lift(0)] * (self.n + self.m)
+        chain = Elimination(self.field, nothing, self.equations({}))
+        self.follow(chain, self.witness["equilibrium"]["steps"])
+        given = {name: chain.solved[k].number() for k, name in enumerate(self.states) if k in chain.solved}
+        outside = not self.inside({name: value for name, value in given.items() if value is not None})
+        without = any(self.field.everywhere(chain.reduced(e).top) for e in chain.equations)
+        require(outside or without, "there may be such an equilibrium")
+
+    def follow(self, chain: Elimination, steps: Sequence[Any]) -> None:
+        """What follows by the steps of a certificate: an equation gives a variable, or its derivative holds too."""
+        for source, *rest in steps:
+            if rest:
+                k, place, *through = rest
+                kind, scale = through or ("", "1")
+                found = chain.solve(source, k, self.vector([place])[0], kind, rational(scale))
+                require(found, "a step does not follow")
+            else:
+                chain.derive(source)
 
     def proved_input_rank(self) -> None:
         """``g^T g > 0`` at x*."""

@@ -143,21 +143,18 @@ class Stability(Assumptions):
         return Elimination(self.field, self.rates, equations)
 
     def chain(self, claim: str) -> Elimination:
-        """What follows from that by the steps of the certificate: that nothing moves."""
-        chain = self.rest()
-        self._follow(chain, self.witness[claim]["steps"])
-        self.zero([chain.reduced(v) for v in self.rates], "the invariant set may move")
-        return chain
+        """What follows from that by the steps of the certificate: that nothing moves.
 
-    def _follow(self, chain: Elimination, steps: Sequence[Any]) -> None:
-        for source, *rest in steps:
-            if rest:
-                k, place, *through = rest
-                kind, scale = through or ("", "1")
-                found = chain.solve(source, k, self.vector([place])[0], kind, rational(scale))
-                require(found, "a step does not follow")
-            else:
-                chain.derive(source)
+        Each rate vanishes with what was found put in, less a combination of equations if the certificate names one.
+        """
+        chain, weights = self.rest(), self.witness[claim].get("rates", {})
+        self.follow(chain, self.witness[claim]["steps"])
+        still = [
+            dot([1, *(-rational(c) for c in row.values())], [rate, *(chain.equations[int(j)] for j in row)])
+            for rate, row in ((rate, weights.get(str(i), {})) for i, rate in enumerate(self.rates))
+        ]
+        self.zero([chain.reduced(self.field.lift(v)) for v in still], "the invariant set may move")
+        return chain
 
     # --- on the whole space ----------------------------------------------------------------------------------------
 
@@ -180,7 +177,7 @@ class Stability(Assumptions):
             still = [chain.solved[n + j].number() for j in range(self.m)]
             require(still == self.resting_input, "the input is not determined")
             chain.equations += [row[0] - v for row, v in self.changes("gamma")]
-            self._follow(chain, self.witness[claim]["then"])
+            self.follow(chain, self.witness[claim]["then"])
             require([chain.solved[k].number() for k in range(n)] == self.point[0], "x* may not be the only rest")
         require(self.field.entire(), "the model may not be smooth everywhere")
 

@@ -65,7 +65,7 @@ KINDS = {
     "coupling_device_with_theta": (GLOBAL, "PROVED", "steps"),
     "damping_on_a_box": ("assumption-1", "PROVED", "squares"),
     "narrow_band": ("assumption-1", "PROVED", "squares"),
-    "unassignable_target": ("equilibrium", "REFUTED", "rows"),
+    "unassignable_target": ("equilibrium", "REFUTED", "steps"),
     "wrong_output": ("passive-output", "REFUTED", "x"),
     "chain": (LOCAL, "PROVED", "P"),
     "two_links": (SAMPLED, "PROVED", "Lambda"),
@@ -322,14 +322,80 @@ def test_the_damping_that_sampling_consumes_must_be_there():
     assert outcomes(signed(slow))[SAMPLED] == "fails"
 
 
-def test_an_equation_that_follows_from_the_others_is_recorded_and_not_refused():
-    """y + e^y = 1/2 has no rational root, and u* = y + e^y + x = 1 follows: the checker does not combine equations."""
+def _written_for(design):
+    return json.loads(json.dumps(certificate(derive(design))))
+
+
+def _pulled(target, **options):
+    """y + e^y = 1 - x has no rational root at x = 1/2, and u* = y + e^y + x = 1 follows."""
     x, y, u = (ca.SX.sym(name) for name in "xyu")
     pull = y + ca.exp(y)
-    system = AffineSystem([x, y], [u], [-pull - x, pull - x], [1, 0], x**2 / 2 + y**2 / 2 + ca.exp(y))
-    law = DynamicExtension(alpha=2, beta=3, K_c=4, R_c=1)
-    derivation = derive(Design(system, {"x": "0.5"}, law, sample_period="1e-3", name="combined"))
-    assert {c.claim: c.status for c in derivation.claims}["equilibrium"] is Status.PROVED
-    found = outcomes(json.loads(json.dumps(certificate(derivation))))
-    assert found["equilibrium"] == "recorded"
-    assert "fails" not in found.values()
+    system = AffineSystem([x, y], [u], [-pull - x, pull - 1 + x], [1, 0], x**2 / 2 + y**2 / 2 + ca.exp(y), **options)
+    return Design(system, target, DynamicExtension(alpha=2, beta=3, K_c=4, R_c=1), sample_period="1e-3", name="pulled")
+
+
+def test_an_equation_that_follows_from_the_others_is_shown_by_its_combination():
+    document = _written_for(_pulled({"x": "0.5"}))
+    found = witness(document, "equilibrium")
+    assert status(document, "equilibrium") == "PROVED"
+    assert outcomes(document)["equilibrium"] == "checked"
+    assert found["follows"] == {"1": {"0": "-1"}}
+    for follows in ({}, {"1": {"0": "1"}}, {"1": {"0": "-2"}}, {"1": {"1": "1"}}, {"1": {}}, {"0": {"0": "1"}}):
+        assert outcomes(with_witness(document, "equilibrium", follows=follows))["equilibrium"] == "fails", follows
+
+
+#: Targets that no input holds: the equations contradict each other after some steps, or leave the domain.
+UNASSIGNABLE = {
+    "linear": lambda: _planar_design([lambda x, y: -x, lambda x, y: x + y - 1], {"x0": 1, "x1": "0.5"}),
+    "polynomial": lambda: _planar_design([lambda x, y: -x, lambda x, y: x**2 + 1], {"x0": "0.25"}),
+    "transcendental": lambda: _planar_design([lambda x, y: -x, lambda x, y: ca.sin(x) - 3 * y], {"x0": 1, "x1": 1}),
+    "three": lambda: _planar_design([lambda x, y: -x, lambda x, y: x**3 - y], {"x0": "0.5", "x1": "0.5"}),
+    "domain": lambda: _planar_design([lambda x, y: -x, lambda x, y: x - y], {"x0": "0.5"}, domain={"x1": (-1, "0.4")}),
+}
+
+
+def _planar_design(f, target, **options):
+    x, y = ca.SX.sym("x0"), ca.SX.sym("x1")
+    system = AffineSystem([x, y], [ca.SX.sym("u")], [f[0](x, y), f[1](x, y)], [1, 0], x**2 / 2 + y**2 / 2, **options)
+    return Design(system, target, DynamicExtension(2, 3, 4, 1), sample_period="1e-3", name="planar")
+
+
+@pytest.mark.parametrize("name", UNASSIGNABLE)
+def test_a_target_that_no_input_holds_is_refuted_again(name):
+    document = _written_for(UNASSIGNABLE[name]())
+    assert status(document, "equilibrium") == "REFUTED"
+    assert outcomes(document)["equilibrium"] == "checked"
+    steps = witness(document, "equilibrium")["steps"] if name in ("linear", "three", "domain") else []
+    for k, (source, variable, place) in enumerate(steps):  # of an equation without solution anything follows
+        for other in ([source, variable, place + 1], [source + 1, variable, place], [source, variable + 1, place]):
+            changed = with_witness(document, "equilibrium", steps=[*steps[:k], other, *steps[k + 1 :]])
+            assert outcomes(changed)["equilibrium"] == "fails"
+
+
+@pytest.mark.parametrize("name", ["hardening_spring", "buck_converter", "compensated_pendulum"])
+def test_no_steps_refute_a_target_that_an_input_holds(name):
+    """Whatever is solved for what: the equations have a solution."""
+    document = document_of(name)
+    for entry in document["claims"]:
+        entry["status"] = "REFUTED" if entry["claim"] == "equilibrium" else entry["status"]
+    for steps in ([], [[0]], [[0], [1], [4]]):
+        assert outcomes(with_witness(document, "equilibrium", steps=steps))["equilibrium"] == "fails"
+
+
+def test_rates_that_are_no_combination_of_what_vanishes_are_refused():
+    """With damping at every state the rates are combinations of the damped quantities."""
+    x, y, u = (ca.SX.sym(name) for name in ("x0", "x1", "u0"))
+    S = 3 * x**2 / 2 - ca.cos(x) + y**2 / 2 + y**4 / 4
+    f = ca.mtimes(ca.SX([[-0.75, -1.25], [1.25, -0.5]]), ca.gradient(S, ca.vertcat(x, y)))
+    law = DynamicExtension(2, 3, 4, 1)
+    design = Design(AffineSystem([x, y], [u], f, [1, 0], S), {"x0": "0.05"}, law, sample_period="1e-3", name="damped")
+    document = _written_for(design)
+    assert status(document, GLOBAL) == "PROVED"
+    assert outcomes(document)[GLOBAL] == "checked"
+    rates = witness(document, GLOBAL)["rates"]
+    for i, row in rates.items():
+        for j in row:
+            for weight in ("0", "1"):
+                changed = with_witness(document, GLOBAL, rates=rates | {i: row | {j: weight}})
+                assert outcomes(changed)[GLOBAL] == "fails"
+    assert outcomes(with_witness(document, GLOBAL, rates={}))[GLOBAL] == "fails"

@@ -58,8 +58,11 @@ class Elimination:
         if not fresh or (kind and (kind not in ODD or scale == 0)):
             return False
         e, gone = self.reduced(self.equations[source]), apply(kind, zero * scale) if kind else zero
-        most = max(1, int(e.top.total_degree()))
-        if not self.field.everywhere(self.field.quotient(e.top * gone.bottom**most, gone.top**most).top):
+        for _ in range(max(1, int(e.top.total_degree()))):
+            e = self.field.quotient(e.top * gone.bottom, gone.top)
+            if self.field.everywhere(e.top):
+                break
+        else:
             return False
         self.assume(k, value)
         self.equations.append(zero)

@@ -271,9 +271,11 @@ class Field:
     def everywhere(self, a: fmpq_mpoly) -> int:
         """1 or -1 when the polynomial certainly has this sign everywhere, else 0.
 
-        Terms that are nowhere negative count as zero or, when they have exponentials only, as positive; the others
-        must be bounded, and together smaller than the constant.
+        A number is evaluated. Terms that are nowhere negative count as zero or, when they have exponentials only, as
+        positive; the others must be bounded, and together smaller than the constant.
         """
+        if (known := sign(self.at(a, [arb("nan")] * len(self.symbols)))) is not None:
+            return known
         for side in (1, -1):
             left, strict, certain = fmpq(0), False, True
             for exponents, coefficient in (a * side).to_dict().items():
