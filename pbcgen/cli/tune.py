@@ -10,12 +10,13 @@ import typer
 from pbcgen.cli import options
 from pbcgen.cli.outcome import Outcome
 from pbcgen.cli.terminal import progress
-from pbcgen.errors import EmitError, ModelError
+from pbcgen.errors import EmitError, ModelError, NotProved
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from pbcgen.control.tune import Attempt, Tuning
+    from pbcgen.models.laws import Law
 
 RouteOption = Literal["lyapunov", "linearisation", "both"]
 
@@ -95,7 +96,11 @@ def run(
             _draw(tuning, settings.design(model), plot)
     if output is not None:
         output.write_text(_file(tuning), encoding="utf-8")
-    return Outcome(lambda console: _show(console, tuning, output, plot), _document(tuning) if json else None)
+    return Outcome(
+        lambda console: _show(console, tuning, output, plot),
+        _document(tuning) if json else None,
+        NotProved.exit_code if tuning.chosen.unmet else 0,
+    )
 
 
 def _file(tuning: Tuning) -> str:
@@ -123,17 +128,19 @@ def _draw(tuning: Tuning, design: Any, path: Path) -> None:
     names = [condition.name for condition in design.target.conditions]
     ends = (response(runs[0]).settling, response(runs[1]).settling)
     (one, two) = ((run.times, run.errors) for run in runs)
-    save(plot_tuning(one, two, names, BAND, ends, f"{design.name}: before and after tuning"), path)
+    limits = [(None if a is None else float(a), None if b is None else float(b)) for a, b in design.input_set.intervals]
+    inputs = (runs[0].inputs, runs[1].inputs)
+    title = f"{design.name}: before and after tuning"
+    save(plot_tuning(one, two, names, BAND, ends, title, inputs, design.system.input_names, limits), path)
 
 
 def _document(tuning: Tuning) -> dict[str, Any]:
-    from pbcgen.control.trial import entries
-
     return {
         "design": tuning.design.name,
         "law": tuning.design.law.name,
         "route": tuning.chosen.route,
-        "gains": {name: [str(v) for v in values] for name, values in entries(tuning.design.law).items()},
+        "unmet": list(tuning.chosen.unmet),
+        "gains": _gains(tuning.design.law),
         "before": _response(tuning.before),
         "attempts": [_attempt(attempt) for attempt in tuning.attempts],
         "amplitudes": [str(v) for v in tuning.amplitudes],
@@ -147,13 +154,20 @@ def _response(found: Any) -> dict[str, Any] | None:
     return {"settling": found.settling, "overshoot": found.overshoot, "final": found.final}
 
 
-def _attempt(attempt: Attempt) -> dict[str, Any]:
-    from pbcgen.control.trial import entries
+def _gains(law: Law) -> dict[str, Any]:
+    from pbcgen.control.gain_space import shown_gains
 
-    gains = None if attempt.law is None else {k: [str(v) for v in vs] for k, vs in entries(attempt.law).items()}
+    return {
+        name: [[str(v) for v in row] if isinstance(row, tuple) else str(row) for row in values]
+        for name, values in shown_gains(law).items()
+    }
+
+
+def _attempt(attempt: Attempt) -> dict[str, Any]:
     return {
         "route": attempt.route,
-        "gains": gains,
+        "gains": None if attempt.law is None else _gains(attempt.law),
+        "unmet": list(attempt.unmet),
         "response": _response(attempt.response),
         "spectral_abscissa": attempt.abscissa,
         "spectral_radius": attempt.radius,
@@ -173,7 +187,8 @@ def _show(console: Console, tuning: Tuning, output: Path | None, plot: Path | No
         mark = "chosen" if attempt is tuning.chosen else "not chosen" if attempt.law is not None else "no gains"
         console.print(f"\nroute {attempt.route} ({mark})", style="bold")
         if attempt.response is not None and attempt.abscissa is not None:
-            console.print(f"  {_figures(attempt.response)}, spectral abscissa {attempt.abscissa:.4g} 1/s")
+            line = f"  {_figures(attempt.response)}, spectral abscissa {attempt.abscissa:.4g} 1/s"
+            console.print(line, soft_wrap=True)
         if attempt is not tuning.chosen and attempt.law is not None and attempt.law == tuning.chosen.law:
             console.print("  the same gains as on the route that was chosen")
             continue
@@ -182,12 +197,19 @@ def _show(console: Console, tuning: Tuning, output: Path | None, plot: Path | No
         for line in attempt.notes:
             console.print(f"  {line}", soft_wrap=True)
     console.print()
+    for line in tuning.chosen.unmet:
+        console.print(f"NOT MET: {line}", style="bold red", soft_wrap=True)
     console.print(f"law={expression(tuning.design.law)},", style="green")
     for path, what in ((output, "Law"), (plot, "Picture")):
         if path is not None:
             console.print(f"{what}: {path}", soft_wrap=True)
+    if tuning.chosen.unmet:
+        console.print(
+            "These gains are proved, but the wish is not met: wish for less, give wider limits, or try --effort"
+        )
     console.print(
-        "\nNext: put the law into the model file, then pbcgen check, and pbcgen robust for noise and friction"
+        "\nNext: put the law into the model file, then pbcgen check, and pbcgen robust for noise and friction",
+        soft_wrap=True,
     )
 
 

@@ -10,11 +10,17 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from pbcgen.control.gain_space import DIGITS, Space, base_law
+from pbcgen.control.gain_space import DIGITS, Space, base_law, rebuilt
 from pbcgen.control.linearisation import Figures
-from pbcgen.control.trial import Response
+from pbcgen.control.trial import Response, entries
 from pbcgen.control.tuning_problem import Problem, Route, meet_theta, shaped, unmet
 from pbcgen.models.laws import Integral, Law, NaturalDamping
+
+#: A response that is worse by no more than this (about 3 % of the settling time) is as good.
+_GENTLE = 0.03
+#: Slopes of saturations, and the factors by which flatter ones are tried.
+_SLOPES = ("beta", "beta_c")
+_FLATTER = tuple(Fraction(f) for f in ("0.8", "0.6", "0.45", "0.3", "0.2", "0.15", "0.1", "0.06", "0.03", "0.01"))
 
 
 @dataclass(eq=False)
@@ -101,6 +107,33 @@ def best_rounded(problem: Problem, judge: Judge, laws: Sequence[Law]) -> list[La
         judge.duration = problem.duration
         ranked.append((len(open_wishes), judge.cost(rounded), rounded))
     return [law for _, _, law in sorted(ranked, key=lambda item: item[:2])]
+
+
+def gentler(problem: Problem, judge: Judge, law: Law) -> Law:
+    """The law with the flattest saturations, all beta multiplied by one factor, that is about as good.
+
+    A steep saturation switches: it passes the noise of the sensors on. The search itself does not see that.
+    """
+
+    def open_wishes(candidate: Law) -> int:
+        figures = problem.spectrum.figures(problem.family.loop(candidate), problem.h, Fraction(1))
+        return len(unmet(problem.wish, problem.respond(candidate, problem.duration), figures))
+
+    def cost(candidate: Law) -> float:
+        judge.duration = problem.duration
+        return judge.cost(candidate)
+
+    seen = list(judge.seen)
+    most, wishes, chosen = cost(law) + _GENTLE, open_wishes(law), law
+    for factor in _FLATTER:
+        given = entries(law)
+        steep = {name: tuple(v * factor for v in values) for name, values in given.items() if name in _SLOPES}
+        candidate = rounded_law(problem, judge.route, rebuilt(law, {**given, **steep}))
+        if cost(candidate) > most or open_wishes(candidate) > wishes:
+            break
+        chosen = candidate
+    judge.seen[:] = seen
+    return chosen
 
 
 def wish_is_met(problem: Problem, judge: Judge) -> bool:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbcgen.control.trial import entries
+from pbcgen.control.trial import entries, is_diagonal, like
 from pbcgen.models.exact import decimal
-from pbcgen.models.gains import Vector
-from pbcgen.models.laws import Integral, Law, NaturalDamping
+from pbcgen.models.gains import Matrix, Vector
+from pbcgen.models.laws import Integral, Law, NaturalDamping, gains
 
 #: How far gains may move from those of the design, in decades.
 _DECADES = {"beta": 3.0, "beta_c": 3.0, "R_c": 4.0, "beta_l": 5.0, "R_l": 5.0, "beta_psi": 3.0}
@@ -45,7 +45,7 @@ class Space:
     """Gains as points of a box: shares of the amplitudes, and decades of the other gains around the given ones.
 
     Attributes:
-        origin: the law with the given gains, diagonal.
+        origin: the law with the given gains.
         amplitudes: the sum of the amplitudes of each input.
         m: channels.
         common: one number for each gain, the same for all channels; else one for each channel.
@@ -129,38 +129,56 @@ def _round(value: Fraction, digits: int | None) -> Fraction:
 
 
 def rebuilt(law: Law, chosen: dict[str, tuple[Fraction, ...]]) -> Law:
-    """The law with other gains; matrices are given by their diagonals."""
+    """The law with other gains; matrices are given by their diagonals, and their other entries are scaled with them."""
     if isinstance(law, Integral):
         base = rebuilt(law.base, chosen)
-        return Integral(base, chosen["alpha_psi"], chosen["beta_psi"], chosen["R_psi"])  # type: ignore[arg-type]
+        R_psi = _with_diagonal(law.R_psi, chosen["R_psi"])
+        return Integral(base, chosen["alpha_psi"], chosen["beta_psi"], R_psi)  # type: ignore[arg-type]
     names = entries(law)
-    arguments: dict[str, Any] = {name: list(chosen[name]) for name in names}
+    arguments: dict[str, Any] = {name: _with_diagonal(getattr(law, name), chosen[name]) for name in names}
     if isinstance(law, NaturalDamping):
         arguments["Upsilon"] = law.Upsilon
     made: Law = type(law)(**arguments)
     return made
 
 
+def _with_diagonal(given: Any, diagonal: Vector) -> Any:
+    full = isinstance(given[0], tuple) and not is_diagonal(given)
+    return like(given, diagonal) if full else list(diagonal)
+
+
 def expression(law: Law) -> str:
     """The law as Python, to be pasted into a design file."""
     if isinstance(law, Integral):
-        own = {name: value for name, value in entries(law).items() if name.endswith("_psi")}
+        own = {name: value for name, value in shown_gains(law).items() if name.endswith("_psi")}
         base = expression(law.base).replace("\n", "\n    ")
         return f"Integral(\n    {base},\n{_arguments(own)})"
-    return f"{type(law).__name__}(\n{_arguments(entries(law))}{_upsilon(law)})"
+    return f"{type(law).__name__}(\n{_arguments(shown_gains(law))}{_upsilon(law)})"
 
 
-def _arguments(values: dict[str, tuple[Fraction, ...]]) -> str:
+def shown_gains(law: Law) -> dict[str, Vector | Matrix]:
+    """The gains by name as they are written: diagonal matrices as vectors, without Upsilon."""
+    full = gains(law)
+    return {
+        name: full[name] if isinstance(full[name][0], tuple) and not is_diagonal(full[name]) else values  # type: ignore[arg-type]
+        for name, values in entries(law).items()
+    }
+
+
+def _arguments(values: dict[str, Vector | Matrix]) -> str:
     lines = []
     for name, entry in values.items():
-        texts = [f'"{decimal(v)}"' for v in entry]
+        texts = [_written(v) for v in entry]
         lines.append(f"    {name}={texts[0] if len(texts) == 1 else '[' + ', '.join(texts) + ']'},\n")
     return "".join(lines)
+
+
+def _written(value: Fraction | Vector) -> str:
+    return f"[{', '.join(_written(v) for v in value)}]" if isinstance(value, tuple) else f'"{decimal(value)}"'
 
 
 def _upsilon(law: Law) -> str:
     given = getattr(law, "Upsilon", None)
     if given is None or all(v == int(i == j) for i, row in enumerate(given) for j, v in enumerate(row)):
         return ""
-    rows = ", ".join("[" + ", ".join(f'"{decimal(v)}"' for v in row) + "]" for row in given)
-    return f"    Upsilon=[{rows}],\n"
+    return f"    Upsilon=[{', '.join(_written(row) for row in given)}],\n"

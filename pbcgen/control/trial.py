@@ -2,7 +2,8 @@
 
 The plant is advanced by ROS2, a linearly implicit method of second order for any matrix in place of the Jacobian; here
 that matrix is the Jacobian at the target, so the stiff part of a nearly linear plant is damped as it should. The law
-is the discretised one, with diagonal gains. Runs are estimates: the gains that they lead to are checked separately.
+is the discretised one. Of gains that are full matrices the diagonals are arguments, and the other entries follow them.
+Runs are estimates: the gains that they lead to are checked separately.
 """
 
 from __future__ import annotations
@@ -31,14 +32,18 @@ GAMMA = 1 - 1 / np.sqrt(2)
 #: Newton steps for ``s + mu tanh(s) = r`` in a trial.
 _NEWTON = 7
 
+#: Passes over the channels where a full K_c or R_c couples them.
+_SWEEPS = 8
+
 
 @dataclass(frozen=True)
 class Run:
-    """A trial: times (N,), the signals that have a target (N, k) as errors, all states (N, n)."""
+    """A trial: times (N,), the signals that have a target (N, k) as errors, states (N, n) and inputs (N - 1, m)."""
 
     times: Array
     errors: Array
     states: Array
+    inputs: Array
 
     @property
     def finite(self) -> bool:
@@ -94,12 +99,12 @@ def _settled(times: Array, relative: Array, band: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """The sampled loop of one design with free diagonal gains.
+    """The sampled loop of one design with free gains, matrices by their diagonals.
 
     Attributes:
         plant, point, gamma, eta: the system at its target.
         design: for law, target, initial state and sample period.
-        law: the law with resolved gains; trials must be of its kind.
+        law: the law with resolved gains; trials must be of its kind, with matrices like its (see :func:`like`).
         steps: plant steps in one sample period.
     """
 
@@ -123,9 +128,10 @@ class Trial:
         p = _flat(law)
         d = list(push) if push is not None else [0.0] * self.plant.system.m
         many = step.mapaccum(count)
-        states = np.hstack([start[:, None], np.array(many(start, p, d))])[:nx]
+        moved, inputs = (np.array(part) for part in many(start, p, d))
+        states = np.hstack([start[:, None], moved])[:nx]
         errors = np.array(self._error.map(count + 1)(states)).T
-        return Run(np.arange(count + 1, dtype=np.float64) * h, errors, states.T)
+        return Run(np.arange(count + 1, dtype=np.float64) * h, errors, states.T, inputs.T)
 
     @cached_property
     def _error(self) -> ca.Function:
@@ -148,15 +154,15 @@ class Trial:
 
     @cached_property
     def _step(self) -> ca.Function:
-        """(z, gains, disturbance) -> z over one sample period."""
+        """(z, gains, disturbance) -> z and u over one sample period."""
         system = self.plant.system
         p = ca.SX.sym("p", len(_flat(self.law)))
         h = float(self.design.sample_period)
-        following, u = self._control(system.x, self._xi, _named(self.law, p), h)
+        following, u = (self._at_values(part) for part in self._control(system.x, self._xi, _named(self.law, p), h))
         d = ca.SX.sym("d", system.m)
-        after = self._plant_step(system.x, self._at_values(u) + d, h)
+        after = self._plant_step(system.x, u + d, h)
         z = ca.vertcat(system.x, self._xi)
-        return ca.Function("step", [z, p, d], [ca.vertcat(after, self._at_values(following))])
+        return ca.Function("step", [z, p, d], [ca.vertcat(after, following), u])
 
     def _plant_step(self, x: ca.SX, u: ca.SX, h: float) -> ca.SX:
         system = self.plant.system
@@ -184,10 +190,12 @@ class Trial:
         parts = ca.vertsplit(xi, m)
         natural = isinstance(base, NaturalDamping)
         alpha, beta = (g["alpha_c"], g["beta_c"]) if natural else (g["alpha"], g["beta"])
-        decay = 1 / (1 + h * g["R_c"] * g["K_c"])
-        push = h * g["R_c"] * decay * alpha
-        t = _saturated(beta * push, beta * (gamma + decay * parts[0]))
-        following = [decay * parts[0] - push * t]
+        K_c, R_c = (_coupled(g[name], getattr(base, name)) for name in ("K_c", "R_c"))
+        decay = ca.inv(ca.SX.eye(m) + h * ca.mtimes(R_c, K_c))
+        push = ca.sparsify(ca.mtimes(h * ca.mtimes(decay, R_c), ca.diag(alpha)))
+        eased = ca.mtimes(decay, parts[0])
+        t = _saturated_together(ca.mtimes(ca.diag(beta), push), beta * (gamma + eased))
+        following = [eased - ca.mtimes(push, t)]
         offset: ca.SX = ca.SX(u_star)
         mechanics = self.plant.system.mechanical
         if isinstance(base, PotentialCompensation) and mechanics is not None:
@@ -202,7 +210,8 @@ class Trial:
             u = u - g["alpha_l"] * t
         if isinstance(self.law, Integral):
             a, b = g["alpha_psi"], g["beta_psi"]
-            psi = (parts[-1] + h * a * b * gamma / ca.cosh(b * parts[-1])) / (1 + h * g["R_psi"])
+            moved = parts[-1] + h * a * b * gamma / ca.cosh(b * parts[-1])
+            psi = ca.solve(ca.SX.eye(m) + h * _coupled(g["R_psi"], self.law.R_psi), moved)
             psi = ca.fmax(-40 / b, ca.fmin(40 / b, psi))
             following.append(psi)
             u = u - a * ca.tanh(b * psi)
@@ -232,6 +241,52 @@ def _saturated(mu: ca.SX, r: ca.SX) -> ca.SX:
         t = ca.tanh(s)
         s = s - (s + mu * t - size) / (1 + mu * (1 - t * t))
     return ca.sign(r) * ca.tanh(s)
+
+
+def _saturated_together(N: ca.SX, r: ca.SX) -> ca.SX:
+    """tanh(s) for the solution of ``s + N tanh(s) = r``, channel by channel.
+
+    N is a symmetric positive definite matrix between two diagonal ones, so this descends a convex function.
+    """
+    m = r.numel()
+    if N.nnz() <= m:
+        return _saturated(ca.diag(N), r)
+    own = [N[i, i] for i in range(m)]
+    t = [_saturated(own[i], r[i]) for i in range(m)]
+    for _ in range(_SWEEPS):
+        for i in range(m):
+            t[i] = _saturated(own[i], r[i] - sum(N[i, j] * t[j] for j in range(m) if j != i))
+    return ca.vertcat(*t)
+
+
+def is_diagonal(given: Matrix) -> bool:
+    """Whether all entries beside the diagonal are zero."""
+    return not any(v for i, row in enumerate(given) for j, v in enumerate(row) if i != j)
+
+
+def like(given: Matrix, diagonal: Sequence[Fraction]) -> Matrix:
+    """A matrix with another diagonal, the other entries scaled with it, to four digits.
+
+    ``K_ij sqrt(d_i d_j / (K_ii K_jj))``: but for the rounding it is positive definite like the given one.
+    """
+    factors = [float(d / given[i][i]) for i, d in enumerate(diagonal)]
+    return tuple(
+        tuple(
+            diagonal[i] if i == j else Fraction(f"{float(v) * np.sqrt(factors[i] * factors[j]):.4g}")
+            for j, v in enumerate(row)
+        )
+        for i, row in enumerate(given)
+    )
+
+
+def _coupled(diagonal: ca.SX, given: Matrix) -> ca.SX:
+    """The same with symbols."""
+    if is_diagonal(given):
+        return ca.diag(diagonal)
+    size = np.sqrt([float(row[i]) for i, row in enumerate(given)])
+    pattern = ca.DM(np.array([[float(v) for v in row] for row in given]) / np.outer(size, size))
+    root = ca.diag(ca.sqrt(diagonal))
+    return ca.mtimes([root, pattern, root])
 
 
 def entries(law: Law) -> dict[str, tuple[Fraction, ...]]:

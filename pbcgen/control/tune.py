@@ -20,13 +20,13 @@ from fractions import Fraction
 from pbcgen.control.amplitudes import Room
 from pbcgen.control.attraction import region_of_attraction
 from pbcgen.control.derive import Derivation, derive
-from pbcgen.control.gain_search import Judge, best_rounded, distinct, lowest_abscissa, search, wish_is_met
+from pbcgen.control.gain_search import Judge, best_rounded, distinct, gentler, lowest_abscissa, search, wish_is_met
 from pbcgen.control.gain_space import base_law, rebuilt, totals
 from pbcgen.control.linearisation import spectral
 from pbcgen.control.region import Region, certified_region
 from pbcgen.control.sampled import Sampling
 from pbcgen.control.stability import LYAPUNOV
-from pbcgen.control.trial import Response, entries
+from pbcgen.control.trial import Response, entries, is_diagonal
 from pbcgen.control.tuning_problem import PUSH, Problem, Route, Wish, shaped, theta_bound, unmet
 from pbcgen.errors import NotProved
 from pbcgen.models.design import Design
@@ -67,6 +67,7 @@ class Attempt:
         notes: what the route can say about its limits.
         claims: of the derivation with these gains.
         region: a certified ellipsoid of attraction where no level set of the storage was found, or None.
+        unmet: what was wished and is not reached.
     """
 
     route: Route
@@ -79,6 +80,7 @@ class Attempt:
     notes: tuple[str, ...]
     claims: tuple[Claim, ...] = ()
     region: Region | None = None
+    unmet: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,10 @@ def tune(design: Design, wish: Wish | None = None, progress: Progress = None) ->
         raise NotProved(f"no gains were found for `{design.name}` that pass every claim: {reasons}")
     # Of two that are as good the one with the stronger proof.
     cost = {a.route: problem.merit(a.response or before, a.abscissa or 0.0) for a in passed}
-    chosen = min(passed, key=lambda a: cost[a.route] + (_STRONGER if a.route == "linearisation" else 0.0))
+    chosen = min(
+        passed,
+        key=lambda a: (len(a.unmet), cost[a.route] + (_STRONGER if a.route == "linearisation" else 0.0)),
+    )
     assert chosen.law is not None
     return Tuning(
         design.with_(law=chosen.law, gain_ranges=None),
@@ -164,7 +169,8 @@ def _attempt(problem: Problem, route: Route, before: Response, seeds: Sequence[L
     floor = judge.lowest if math.isfinite(judge.lowest) else None
     ranked = distinct(sorted(judge.seen, key=lambda item: item[0]))
     reason = "no candidate met the conditions of the route"
-    for rounded in best_rounded(problem, judge, ranked[:_SHORTLIST])[:6]:
+    for candidate in best_rounded(problem, judge, ranked[:_SHORTLIST])[:6]:
+        rounded = gentler(problem, judge, candidate)
         if not math.isfinite(problem.respond(rounded, problem.horizon).settling):
             reason = f"settling: the loop is not within 2 % of its target after {problem.horizon:.4g} s"
             continue
@@ -221,10 +227,11 @@ def _described(problem: Problem, route: Route, law: Law, derived: Derivation, fl
     where = "from everywhere" if "all x" in sampled.domain else "from nearby"
     notes.append(f"sampled loop with h = {float(problem.h):.4g} s: proved to settle {where}")
     if not _is_diagonal(problem.law):
-        notes.append("trial runs take K_c and R_c of the given gains by their diagonals")
+        notes.append("full matrices keep the coupling of the given ones: entries beside the diagonal scale with it")
     reached = problem.respond(resolved, problem.horizon)
+    open_wishes = tuple(unmet(problem.wish, reached, figures))
     binding = f"; what binds: {'; '.join(active)}" if active else ""
-    notes = [line + binding for line in unmet(problem.wish, reached, figures)] + notes
+    notes = [line + binding for line in open_wishes] + notes
     periods = problem.lyapunov_periods(resolved)
     if periods.largest is not None:
         notes.append(f"the storage argument covers sample periods below {float(periods.largest):.4g} s")
@@ -239,12 +246,13 @@ def _described(problem: Problem, route: Route, law: Law, derived: Derivation, fl
         tuple(notes),
         derived.claims,
         region,
+        open_wishes,
     )
 
 
 def _is_diagonal(law: Law) -> bool:
     matrices: list[Matrix] = [getattr(base_law(law), name, ()) for name in ("K_c", "R_c")]
-    return not any(v for rows in matrices for i, row in enumerate(rows) for j, v in enumerate(row) if i != j)
+    return all(is_diagonal(rows) for rows in [*matrices, getattr(law, "R_psi", ())])
 
 
 def _left(problem: Problem, law: Law) -> str:

@@ -25,11 +25,11 @@ from pbcgen.models.design import Design
 from pbcgen.models.gains import Vector
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.dissipation import port_damping
-from pbcgen.passivity.shaping import Shape, diagonal, shape_at
+from pbcgen.passivity.shaping import Shape, add, diagonal, exact_matrix, shape_at
 from pbcgen.passivity.storage import assumption_1
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import positive_definite
+from pbcgen.proof.definite import inverse, positive_definite
 from pbcgen.symbolic.real import approximate, rational
 
 Route = Literal["lyapunov", "linearisation"]
@@ -39,6 +39,12 @@ _CLEARANCE = Fraction(21, 20)
 
 #: Size of that disturbance, as a share of the amplitudes.
 PUSH = 0.1
+
+#: What being faster than wished counts, as a share of what being slower does.
+_ENOUGH = 0.1
+
+#: Weight of the overshoot: one of 100 % costs as much as settling 1.5 times later.
+_OVERSHOOT = 0.4
 
 #: Weight of a slow tail against the settling time: a mode ten times slower costs as much as settling 1.8 times later.
 _TAIL = 0.25
@@ -177,14 +183,21 @@ class Problem:
         """The cost of a response: the logarithm of its settling time, with penalties for what was not wished.
 
         A slow mode with a small amplitude passes the 2 % band unseen, so the distance between the settling time and
-        the slowest time constant counts too.
+        the slowest time constant counts too. Faster than wished is worth little.
         """
         scale = self.wish.settling or self.duration
         urgency = 1.0 if self.wish.settling is None else 2.0
+        enough = 1.0 if self.wish.settling is None else _ENOUGH
+
+        def slowness(time: float) -> float:
+            value = math.log(time / scale)
+            return value if value > 0 else enough * value
+
         if math.isfinite(found.settling):
             settling, rough = (max(t, float(self.h)) for t in (found.settling, found.rough))
-            smooth = 0.5 * math.log(max(found.spread, 1e-12) / scale**2)
-            late = 0.5 * math.log(settling / scale) + 0.25 * math.log(rough / scale) + 0.25 * smooth
+            late = (
+                0.5 * slowness(settling) + 0.25 * slowness(rough) + 0.25 * slowness(math.sqrt(max(found.spread, 1e-12)))
+            )
             late += urgency * max(0.0, math.log(settling / scale)) + 2.0 * found.final
         else:
             settling = self.duration
@@ -192,7 +205,7 @@ class Problem:
             late += min(found.spread / settling**2, 10.0)
         tail = math.log(max(1.0, 4.0 / (settling * max(-abscissa, 1e-30))))
         beyond = 0.0 if self.wish.overshoot is None else max(0.0, min(found.overshoot, 10.0) - self.wish.overshoot)
-        return late + _TAIL * min(tail, 30.0) + 10 * beyond + 0.2 * min(found.overshoot, 5.0)
+        return late + _TAIL * min(tail, 30.0) + 10 * beyond + _OVERSHOOT * min(found.overshoot, 5.0)
 
     def lyapunov_periods(self, law: Law) -> LyapunovPeriods:
         """The sample periods that the storage of the continuous proof covers."""
@@ -217,9 +230,14 @@ def shaped(problem: Problem, law: Law) -> bool:
     alpha = found.get("alpha", found.get("alpha_c", ()))
     beta = found.get("beta", found.get("beta_c", ()))
     stiffness = [a * b for a, b in zip(alpha, beta, strict=True)]
-    if not isinstance(base, PassiveOutput):
-        stiffness = [1 / (1 / s + 1 / k) for s, k in zip(stiffness, found["K_c"], strict=True)]
     A = diagonal([rational(s / _CLEARANCE) for s in stiffness])
+    if not isinstance(base, PassiveOutput):
+        K_c = exact_matrix(tuple(tuple(v / _CLEARANCE for v in row) for row in base.K_c))  # type: ignore[union-attr]
+        compliances = [inverse(A), inverse(K_c)]
+        series = None if None in compliances else inverse(add(*compliances))  # type: ignore[arg-type]
+        if series is None:
+            return False
+        A = series
     return positive_definite(problem.shape.hessian(A)).status is Status.PROVED
 
 

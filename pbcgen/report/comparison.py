@@ -29,8 +29,11 @@ def plot_tuning(
     band: float,
     settling: tuple[float, float],
     title: str,
+    inputs: tuple[Array, Array],
+    input_names: Sequence[str],
+    limits: Sequence[tuple[float | None, float | None]],
 ) -> Figure:
-    """The target signals before and after tuning.
+    """The target signals and the inputs before and after tuning.
 
     Args:
         before: times (N,) in seconds and errors (N, k) of the target signals.
@@ -39,18 +42,20 @@ def plot_tuning(
         band: share of the initial error that counts as settled.
         settling: times before and after, seconds; infinity where there is none.
         title: above the panels.
+        inputs: (N - 1, m) before and after: held over each sample period.
+        input_names: m names.
+        limits: (lo, hi) of each input; None is unbounded.
     """
+    runs = tuple(zip((before, after), inputs, ("before", "after"), (COLOURS[1], COLOURS[0]), settling, strict=True))
     count = len(names)
     with mpl.rc_context(rc=_rc()):
         figure = Figure(figsize=(16, 9), dpi=100, layout="constrained")
         figure.suptitle(title, fontsize=15, x=0.012, ha="left")
         for k, name in enumerate(names):
-            axes = figure.add_subplot(count, 1, k + 1)
+            axes = figure.add_subplot(count, 2, 2 * k + 1)
             width = band * max(abs(before[1][0, k]), 1e-300)
             axes.axhspan(-width, width, color="#808080", alpha=0.15, linewidth=0)
-            for (times, errors), label, colour, end in zip(
-                (before, after), ("before", "after"), (COLOURS[1], COLOURS[0]), settling, strict=True
-            ):
+            for (times, errors), _, label, colour, end in runs:
                 legend = f"{label}: settled at {end:.4g} s" if np.isfinite(end) else f"{label}: not settled"
                 axes.plot(times, errors[:, k], color=colour, label=legend, linewidth=1.8)
                 if np.isfinite(end):
@@ -58,6 +63,16 @@ def plot_tuning(
             axes.set_ylabel(f"error of {name}")
             axes.margins(x=0)
             axes.legend(loc="best")
+        axes.set_xlabel("time [s]")
+        for k, name in enumerate(input_names):
+            axes = figure.add_subplot(len(input_names), 2, 2 * k + 2)
+            for (times, _), u, _, colour, _ in runs:
+                axes.step(times[:-1], u[:, k], color=colour, linewidth=1.4, where="post")
+            for bound in limits[k]:
+                if bound is not None:
+                    axes.axhline(bound, color="#808080", linestyle="--", linewidth=1.2)
+            axes.set_ylabel(name)
+            axes.margins(x=0)
         axes.set_xlabel("time [s]")
     return figure
 

@@ -113,7 +113,7 @@ def storage_run(design, h, steps):
     values = []
     gains = [float(v) for v in (law.alpha[0], law.beta[0], law.K_c[0][0], law.R_c[0][0])]
     for _ in range(steps):
-        after = np.array(trial._step(z, gains, [0.0])).ravel()
+        after = np.array(trial._step(z, gains, [0.0])[0]).ravel()
         # the state before the plant moved, with the controller already advanced
         g, S = (float(v) for v in gamma(z[:-1], found.loop.u_star))
         x_c = after[-1]
