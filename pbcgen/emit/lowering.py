@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from pbcgen.control.hyperbolic import COSH, DENOMINATOR, DOUBLINGS, FAST_ERROR, FAST_ULP, NUMERATOR
+from pbcgen.control.hyperbolic import COSH, DENOMINATOR, DOUBLINGS, FAST_ERROR, FAST_ULP, LIBM_ULP, NUMERATOR
 from pbcgen.control.law import (
     ControlLaw,
     Fallback,
@@ -79,6 +79,7 @@ def program_of(law: ControlLaw, prefix: str, extras: Extras = Extras()) -> Progr
         state_checks=_state_checks(members),
         read=tuple(text for vector in members.texts() for text in vector),
         fast_tanh=_fast_tanh(law.precision) if law.tanh == "fast" else None,
+        library_ulp=f"{LIBM_ULP[law.precision]:g}",
         taylor_functions=tuple(functions.taylor.values()),
         scalar_functions=tuple(functions.scalar.values()),
         block_functions=tuple(functions.block.values()),

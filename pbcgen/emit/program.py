@@ -209,7 +209,11 @@ class SelfTest:
 
 @dataclass(frozen=True)
 class Program:
-    """All C texts of one package. ``read`` are the numbers that a step reads: states and inputs."""
+    """All C texts of one package.
+
+    ``read`` are the numbers that a step reads: states and inputs. ``library_ulp`` is the error of the math library's
+    tanh.
+    """
 
     prefix: str
     constants: Constants
@@ -220,6 +224,7 @@ class Program:
     state_checks: tuple[str, ...]
     read: tuple[str, ...]
     fast_tanh: FastTanh | None
+    library_ulp: str
     taylor_functions: tuple[TaylorFunction, ...]
     scalar_functions: tuple[ScalarFunction, ...]
     block_functions: tuple[BlockFunction, ...]

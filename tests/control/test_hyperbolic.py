@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from flint import arb
 
-from pbcgen.control.hyperbolic import FAST_ERROR, FAST_ULP, default_tanh, fast_cosh, fast_tanh
+from benchmarks.tanh_bound import proved
+from pbcgen import pipeline
+from pbcgen.control.hyperbolic import (
+    DENOMINATOR,
+    FAST_ERROR,
+    FAST_SEEN,
+    FAST_ULP,
+    LIBM_ULP,
+    NUMERATOR,
+    default_tanh,
+    fast_cosh,
+    fast_tanh,
+)
+from pbcgen.control.solves import with_tanh
+from pbcgen.models.loader import load
 
 PRECISIONS = pytest.mark.parametrize(("precision", "dtype"), [("float", np.float32), ("double", np.float64)])
 
@@ -37,8 +54,49 @@ def test_the_error_is_within_the_stated_bounds(precision, dtype):
     exact = [arb(float(v)).tanh() for v in x]
     error = np.array([abs(float(arb(float(t)) - e)) for t, e in zip(found, exact, strict=True)])
     spacing = np.spacing(np.array([float(e) for e in exact]).astype(dtype))
-    assert np.max(error / spacing) <= FAST_ULP[precision]
-    assert np.max(error) <= FAST_ERROR[precision]
+    seen = {"float": (FAST_ULP["float"], FAST_ERROR["float"]), "double": FAST_SEEN}[precision]
+    assert np.max(error / spacing) <= seen[0]
+    assert np.max(error) <= seen[1]
+
+
+@PRECISIONS
+def test_a_bound_is_proved_on_the_whole_line(precision, dtype):
+    bound = proved(precision)
+    assert np.isfinite(dtype(bound.ulp))
+    if precision == "double":
+        assert bound.ulp <= FAST_ULP["double"]
+        assert bound.absolute <= FAST_ERROR["double"]
+    assert FAST_ULP["float"] <= bound.ulp <= 53
+
+
+def test_the_proof_sees_a_changed_coefficient(monkeypatch):
+    good = proved("double").ulp
+    for k, change in ((0, 1 + 1e-14), (4, 1 + 1e-11), (8, 1 - 1e-6)):
+        values = list(NUMERATOR["double"])
+        values[k] *= change
+        monkeypatch.setitem(NUMERATOR, "double", tuple(values))
+        with contextlib.suppress(ArithmeticError):
+            assert proved("double").ulp > good + 1
+        monkeypatch.undo()
+
+
+def test_the_proof_holds_for_operations_rounded_at_their_worst():
+    """Every operation rounded towards the side that moves the result most stays within what rounding may add."""
+    x = np.linspace(0.01, 19, 2001)
+    y = x * x
+    up, down = 1 + 2.0**-53, 1 - 2.0**-53
+    p, q = np.full_like(y, NUMERATOR["double"][-1]), np.full_like(y, DENOMINATOR["double"][-1])
+    for a, b in zip((1.0, *NUMERATOR["double"][:-1])[::-1], (1.0, *DENOMINATOR["double"][:-1])[::-1], strict=True):
+        p, q = (p * y * up + a) * up, (q * y * down + b) * down
+    worst = np.minimum(1, x * p / q * up * up)
+    assert np.max(np.abs(worst - np.tanh(x))) <= FAST_ERROR["double"]
+
+
+def test_the_math_library_is_as_near_as_stated():
+    x = sample(np.float64)
+    exact = [arb(v).tanh() for v in x]
+    error = np.array([abs(float(arb(math.tanh(v)) - e)) for v, e in zip(x, exact, strict=True)])
+    assert np.max(error / np.spacing(np.array([float(e) for e in exact]))) <= LIBM_ULP["double"]
 
 
 @PRECISIONS
@@ -61,23 +119,35 @@ def test_large_arguments_give_one_and_tiny_ones_themselves(precision, dtype):
 @pytest.mark.system
 @pytest.mark.parametrize("flags", [["-ffp-contract=off"], ["-ffp-contract=fast", "-mfma"]])
 def test_every_float_is_within_the_stated_bounds(flags, tmp_path):
-    root = Path(__file__).resolve().parents[2]
-    source = root / "benchmarks" / "hyperbolic_bound.c"
-    package = root / "generated" / "coupling_device"
-    names = [
-        "-DOUTSIDE=251u",
-        '-DPACKAGE="coupling_device.c"',
-        "-DTANH=coupling_device_tanh_of_magnitude",
-        f"-I{package}",
-    ]
-    command = ["cc", "-O2", *flags, *names, str(source), "-lm", "-o", str(tmp_path / "bound")]
+    package = Path(__file__).resolve().parents[2] / "generated" / "coupling_device"
+    names = ['-DPACKAGE="coupling_device.c"', "-DTANH=coupling_device_tanh_of_magnitude", f"-I{package}"]
+    ulps, absolute = measured_on_every_float([*flags, *names], tmp_path)
+    assert ulps <= FAST_ULP["float"]
+    assert absolute <= FAST_ERROR["float"]
+
+
+@pytest.mark.system
+def test_every_float_of_the_math_library_is_as_near_as_stated_and_at_most_one(tmp_path):
+    report = pipeline.check(load("rlc"))
+    package = pipeline.package(replace(report, control=with_tanh(report.control, "libm")))
+    assert "2.2 units in the last place" in package.files["README.md"]
+    for name in ("rlc.h", "rlc.c"):
+        (tmp_path / name).write_text(package.files[name])
+    names = ['-DPACKAGE="rlc.c"', "-DTANH=rlc_tanh", "-DLIBM", f"-I{tmp_path}"]
+    ulps, _ = measured_on_every_float(names, tmp_path)
+    assert ulps <= LIBM_ULP["float"]
+
+
+def measured_on_every_float(options: list[str], directory: Path) -> tuple[float, float]:
+    """Units in the last place and absolute error of a package's tanh."""
+    source = Path(__file__).resolve().parents[2] / "benchmarks" / "hyperbolic_bound.c"
+    command = ["cc", "-O2", "-DOUTSIDE=251u", *options, str(source), "-lm", "-o", str(directory / "bound")]
     if not shutil.which("cc") or subprocess.run(command, capture_output=True, check=False).returncode:
         pytest.skip("no C compiler for this processor")
-    found = subprocess.run([str(tmp_path / "bound")], capture_output=True, text=True, check=False)
+    found = subprocess.run([str(directory / "bound")], capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stdout
     ulps, absolute = re.search(r"every float: ([\d.]+) ulp, ([\d.e-]+) absolute", found.stdout).groups()
-    assert float(ulps) <= FAST_ULP["float"]
-    assert float(absolute) <= FAST_ERROR["float"]
+    return float(ulps), float(absolute)
 
 
 def test_float_is_fast_by_default_and_double_is_not():
