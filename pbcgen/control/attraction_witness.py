@@ -17,7 +17,7 @@ from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.plain.elimination import Elimination, slopes
 from pbcgen.symbolic.plain.formulas import Formulas
-from pbcgen.symbolic.plain.values import ODD, Field, Function, NotCheckable
+from pbcgen.symbolic.plain.values import NONNEGATIVE, ODD, Field, Function
 from pbcgen.symbolic.real import fraction
 from pbcgen.verify.stability import Stability
 
@@ -382,14 +382,16 @@ def _combination(
 
 
 def _excess(field: Field, rest: Function, terms: Writing) -> list[list[Any]]:
-    """Terms of the storage that are squares and not bounded."""
+    """Terms of the storage that are nowhere negative and not bounded: squares, times exponentials and roots."""
     found = []
     for exponents, c in rest.top.to_dict().items() if rest.bottom.is_constant() else ():
         term = field.quotient(field.ctx.from_dict({exponents: c}), field.one)
-        try:
-            field.bound(term)
-        except NotCheckable:
-            if c > 0 and all(e % 2 == 0 for e in exponents):
-                half = field.quotient(field.ctx.from_dict({tuple(e // 2 for e in exponents): fmpq(1)}), field.one)
-                found.append([str(c), [], [terms.function(half)]])
+        if field.bounded(term) or c <= 0:
+            continue
+        odd = [k for k, e in enumerate(exponents) if e % 2]
+        atoms = [list(field.atoms.items())[field.pool - 1 - k] for k in odd if k < field.pool]
+        if len(atoms) == len(odd) and all(kind in NONNEGATIVE for (kind, _, _), _ in atoms):
+            factors = [[kind, terms.function(argument), None, True] for (kind, _, _), argument in atoms]
+            half = field.quotient(field.ctx.from_dict({tuple(e // 2 for e in exponents): fmpq(1)}), field.one)
+            found.append([str(c), factors, [terms.function(half)]])
     return found

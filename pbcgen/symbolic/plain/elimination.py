@@ -12,15 +12,21 @@ from typing import Any
 from flint import fmpq
 
 from pbcgen.symbolic.plain.matrices import dot
-from pbcgen.symbolic.plain.values import ODD, Field, Function, apply, partial, variables
+from pbcgen.symbolic.plain.values import ODD, Field, Function, apply, partial, plain, variables
 
 _ONE = fmpq(1)
 
 
 def put_in(field: Field, a: Function, values: Sequence[Any]) -> Any:
     """The function with values of any kind in place of the symbols."""
-    top, bottom = field.at(a.top, values), field.at(a.bottom, values)
-    return top / bottom
+    (content, factors), value = a.bottom.factor(), field.at(a.top, values)
+    for factor, times in factors:
+        below = field.at(factor, values)
+        if isinstance(plain(below), Function) and field.everywhere(factor):  # then it is so whatever is put in
+            field.nowhere_zero.add(str(plain(below).top))
+        for _ in range(int(times)):
+            value = value / below
+    return value / content
 
 
 def slopes(field: Field, a: Function) -> list[Function]:

@@ -189,6 +189,7 @@ class Field:
         self.relations: list[fmpq_mpoly] = []
         self.divisors: dict[str, fmpq_mpoly] = {}
         self.all_divisors: dict[str, fmpq_mpoly] = {}
+        self.nowhere_zero: set[str] = set()
 
     def lift(self, value: Any) -> Function:
         """A number as a function."""
@@ -298,7 +299,8 @@ class Field:
     def entire(self) -> bool:
         """Whether everything computed so far is certainly defined and smooth at every state."""
         smooth = all(kind in _ENTIRE for kind, _, _ in self.atoms)
-        return smooth and all(self.everywhere(divisor) for divisor in self.all_divisors.values())
+        unsure = [divisor for key, divisor in self.all_divisors.items() if key not in self.nowhere_zero]
+        return smooth and all(self.everywhere(divisor) for divisor in unsure)
 
     def _kind(self, k: int) -> str:
         number = self.pool - 1 - k
