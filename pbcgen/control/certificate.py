@@ -27,6 +27,7 @@ from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, Pot
 from pbcgen.models.laws import gains as gains_of
 from pbcgen.passivity.assignable import greedy_rows, residual_of
 from pbcgen.passivity.equilibrium import combination
+from pbcgen.passivity.obstruction import obstruction
 from pbcgen.passivity.plant import Point
 from pbcgen.passivity.shaping import diagonal, exact_matrix, extended_hessian, shape_at
 from pbcgen.proof.claim import Claim, Status
@@ -263,11 +264,18 @@ def _gain(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any
 
 
 def _supplied(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
-    point = (claim.counterexample or {})["x"]
-    if derivation.plant.system.gamma is None:
+    """A state and an input for the model's gamma, or why there is none."""
+    point, plant = (claim.counterexample or {})["x"], derivation.plant
+    if plant.system.gamma is not None:
+        return {"x": [str(point[name]) for name in (*plant.system.state_names, *plant.system.input_names)]}
+    found = obstruction(plant)
+    if found is None:
         return None
     return {
-        "x": [str(point[name]) for name in (*derivation.plant.system.state_names, *derivation.plant.system.input_names)]
+        "input": found.input,
+        "set": {str(k): terms.put("constant 0") for k in found.zero},
+        "x": [found.point[name] for name in plant.system.state_names],
+        "vectors": [[j, [None if v.is_zero() else terms.quotient(v) for v in d]] for j, d in found.directions],
     }
 
 

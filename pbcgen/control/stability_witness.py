@@ -84,6 +84,17 @@ class _Work:
         chain = Elimination(self.system.field, [self.system.field.lift(0)] * len(symbols), self.system.equations({}))
         return {"steps": eliminate(chain, self.terms, symbols)}
 
+    def undamped_output(self, claim: Claim) -> Witness:
+        """`assumption-3` REFUTED: a set on which nothing is lost, and a place where the output is not zero."""
+        if claim.status is not Status.REFUTED:
+            return None
+        system, n = self.system, self.system.n
+        symbols = range(len(system.field.symbols))
+        chain = Elimination(system.field, [system.field.lift(0)] * len(symbols), system.rows)
+        eliminate(chain, self.terms, [*symbols[n:], *symbols[:n]])
+        set_ = {str(k): self.terms.function(v) for k, v in chain.solved.items()}
+        return {"set": set_, "z": [str(fmpq(3 * k + 1, 64 * k + 70)) for k in symbols]}
+
     def local(self, claim: Claim) -> Witness:
         """`stable` and `asymptotically-stable`."""
         system = self.system
@@ -212,6 +223,7 @@ class _Work:
 
 _MAKERS = {
     "equilibrium": _Work.unassignable,
+    "assumption-3": _Work.undamped_output,
     "asymptotically-stable": _Work.local,
     "globally-asymptotically-stable": _Work.everywhere,
     "sampled-stable": _Work.sampled,

@@ -17,20 +17,23 @@ from pbcgen.models.parameters import Parameters
 #: Numbers with numerator and denominator of so many bits may be multiplied a few times in doubles without rounding.
 _SHORT_BITS = 12
 
-#: The digits that a number may have been written with, when it is not quite the decimal of so many digits: what
-#: Python made of ``0.7 * 3`` is 2.0999999999999996, and one double in 100000 has such a neighbour by chance.
-_WRITTEN_DIGITS, _ROUNDINGS = 10, 4
+#: A number is read as a decimal of so many digits, or as a fraction with such a denominator, if that is only a few
+#: roundings away: Python makes 2.0999999999999996 of ``0.7 * 3`` and 0.6666666666666666 of ``2 / 3``. One double in
+#: 10000 or fewer has such a neighbour by chance.
+_DIGITS, _LARGEST_DENOMINATOR, _ROUNDINGS = 10, 1000, 4
 
 #: Below it a double has fewer digits.
 _SMALLEST = 2.3e-308
 
 
 def as_written(number: float) -> Fraction:
-    """The number that a double stands for: the shortest decimal, or one of few digits that is a few roundings away."""
+    """The number that a double stands for: the shortest decimal, or a simpler number a few roundings away."""
     shortest = Fraction(repr(number))
-    written = Fraction(f"{number:.{_WRITTEN_DIGITS}g}")
-    near = abs(written - shortest) <= _ROUNDINGS * Fraction(math.ulp(number))
-    return written if near and abs(number) >= _SMALLEST else shortest
+    if abs(number) < _SMALLEST:
+        return shortest
+    near = _ROUNDINGS * Fraction(math.ulp(number))
+    simpler = Fraction(f"{number:.{_DIGITS}g}"), shortest.limit_denominator(_LARGEST_DENOMINATOR)
+    return next((value for value in simpler if value and abs(value - shortest) <= near), shortest)
 
 
 def named_numbers(
@@ -69,7 +72,10 @@ def named_numbers(
             work[place] = ca.SX.unary(operation, numbers.operand(operands[0]))
         else:
             is_exponent = operation in (ca.OP_POW, ca.OP_CONSTPOW) and isinstance(operands[1], float)
-            second = ca.SX(operands[1]) if is_exponent else numbers.operand(operands[1])  # an exponent is no factor
+            below = operation == ca.OP_DIV and isinstance(operands[0], ca.SX)
+            second = (
+                ca.SX(operands[1]) if is_exponent else numbers.operand(operands[1], below)
+            )  # no exponent is a factor
             work[place] = ca.SX.binary(operation, numbers.operand(operands[0]), second)
     return (results, numbers.parameters) if numbers.changed else (list(values), parameters)
 
@@ -87,12 +93,12 @@ class _Numbers:
         self.label, self.parameters, self.taken, self.changed = label, parameters, taken, False
         self._named: dict[Fraction, ca.SX] = {}
 
-    def operand(self, entry: ca.SX | float) -> ca.SX:
-        """An expression, or what stands for a number."""
+    def operand(self, entry: ca.SX | float, below: bool = False) -> ca.SX:
+        """An expression, or what stands for a number; ``below`` a fraction line a third is one, which is not short."""
         if isinstance(entry, ca.SX) or not math.isfinite(entry):
             return ca.SX(entry)
         value = as_written(entry)
-        if is_short(value):
+        if is_short(value) and not (below and value and not is_short(1 / value)):
             self.changed |= float(value) != entry
             return ca.SX(float(value))
         if abs(value) not in self._named:

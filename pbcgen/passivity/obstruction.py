@@ -10,7 +10,7 @@ along the set, which then needs a symmetric Jacobian there. Both are decided exa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import casadi as ca
@@ -34,11 +34,17 @@ class Obstruction:
         reason: in words and formulas.
         point: an equilibrium of f at which it shows, by state.
         value: the quantity that ought to be zero, there.
+        input: the position of the input whose gamma does not exist.
+        zero: the states that are zero on the set of equilibria.
+        directions: directions d on the set, each with j where ``df/dx d`` is unit vector j, or None if it is zero.
     """
 
     reason: str
     point: dict[str, str]
     value: str
+    input: int = 0
+    zero: tuple[int, ...] = ()
+    directions: tuple[tuple[int | None, tuple[Quotient, ...]], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +57,20 @@ class _Set:
 
 @dataclass(frozen=True, eq=False)
 class _Equations:
-    """``rows psi = right`` for psi = grad gamma_i, valid where ``finite`` are defined."""
+    """``rows psi = right`` for psi = grad gamma_i, one for each direction, valid where these are defined."""
 
     rows: list[list[Quotient]]
     right: list[Quotient]
-    finite: list[Quotient]
+    directions: list[list[Quotient]]
+
+    @property
+    def finite(self) -> list[Quotient]:
+        """What must be defined."""
+        return [entry for d in self.directions for entry in d]
+
+    def combined(self, field: Field, weights: list[Quotient]) -> tuple[Quotient, ...]:
+        """The direction that belongs to a combination of the equations."""
+        return tuple(_combine(field, weights, [d[k] for d in self.directions]) for k in range(len(self.rows[0])))
 
 
 def obstruction(plant: Plant) -> Obstruction | None:
@@ -69,7 +84,7 @@ def obstruction(plant: Plant) -> Obstruction | None:
         for i in range(plant.system.m):
             found = _for_input(plant, places, i)
             if found is not None:
-                return found
+                return replace(found, input=i, zero=places.zero)
     except (UnsupportedOperation, ZeroDivisionError):
         return None
     return None
@@ -114,8 +129,7 @@ def _for_input(plant: Plant, places: _Set, i: int) -> Obstruction | None:
     directions = _kernel(field, hessian)
     rows = [[_combine(field, d, J[j]) for j in range(system.n)] for d in directions]
     right = [_combine(field, d, wanted) for d in directions]
-    finite = [entry for d in directions for entry in d]
-    equations = _Equations(rows, right, finite)
+    equations = _Equations(rows, right, directions)
     return _contradiction(plant, field, places, equations, i) or _curl(plant, field, places, equations, i)
 
 
@@ -165,7 +179,8 @@ def _contradiction(plant: Plant, field: Field, places: _Set, equations: _Equatio
         return None
     name = plant.system.input_names[i]
     reason = f"without dissipation near these equilibria, the equations for grad gamma of {name} contradict each other"
-    return _witness(plant, places, field.const(1), [*weights, *equations.finite], reason)
+    found = _witness(plant, places, field.const(1), [*weights, *equations.finite], reason)
+    return None if found is None else replace(found, directions=((None, equations.combined(field, weights)),))
 
 
 def _curl(plant: Plant, field: Field, places: _Set, equations: _Equations, i: int) -> Obstruction | None:
@@ -189,7 +204,8 @@ def _curl(plant: Plant, field: Field, places: _Set, equations: _Equations, i: in
             )
             found = _witness(plant, places, skew, [*first, *second, *equations.finite], reason)
             if found is not None:
-                return found
+                both = ((j, equations.combined(field, first)), (k, equations.combined(field, second)))
+                return replace(found, directions=both)
     return None
 
 

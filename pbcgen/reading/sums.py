@@ -10,8 +10,9 @@ from flint import fmpq
 
 from pbcgen.reading.system import System, require
 from pbcgen.symbolic.plain.boxes import shown
+from pbcgen.symbolic.plain.elimination import Elimination
 from pbcgen.symbolic.plain.formulas import Formulas, rational
-from pbcgen.symbolic.plain.matrices import Matrix, plus
+from pbcgen.symbolic.plain.matrices import Matrix, dot, plus
 from pbcgen.symbolic.plain.values import (
     AT_ZERO,
     BOUNDED,
@@ -41,6 +42,31 @@ class Sums(System):
     def vector(self, places: Sequence[int | None]) -> list[Any]:
         """Terms by their places; None is zero."""
         return [self.field.lift(0 if place is None else self.placed[place]) for place in places]
+
+    @property
+    def rows(self) -> list[Any]:
+        """For each square of passive-output a function that vanishes where the square does, in (x, u)."""
+        one_u, found = [self.field.lift(1), *self.field.symbols[self.n :]], []
+        for _, factors, places in self.witness["passive-output"]["squares"]:
+            row = dot(self.vector(places), one_u)
+            for kind, a, b, alone in factors:
+                if kind in INCREASING and not alone:
+                    row = row * (self.placed[a] - (0 if b is None else self.placed[b]))
+                elif kind != "exp":
+                    row = row * self._factor("passive-output", kind, a, b, alone)
+            found.append(row)
+        return found
+
+    def power_at(self, u: Sequence[Any]) -> Any:
+        """``u^T gamma' - S'`` for these inputs."""
+        one_u = [self.field.lift(1), *u]
+        return dot(one_u, [dot(row, one_u) for row in self.power])
+
+    def on_set(self, claim: str) -> Elimination:
+        """The set that a witness describes: some states and inputs as functions of the others."""
+        chain = Elimination(self.field, [], [])
+        chain.solved = {int(k): self.placed[place] for k, place in self.witness[claim]["set"].items()}
+        return chain
 
     def without_squares(self, matrix: Matrix, claim: str, name: str = "squares") -> Matrix:
         """The matrix without ``sum weight * factors * v v^T``: positive weights, factors that are never negative."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
-from flint import arb, fmpq
+from flint import arb, fmpq, fmpq_mat
 
 from pbcgen.reading.model import Model
 from pbcgen.symbolic.plain.formulas import Formulas, rational
@@ -23,7 +23,7 @@ from pbcgen.symbolic.plain.matrices import (
     transpose,
     zero_order_hold,
 )
-from pbcgen.symbolic.plain.values import Dual, Field, Function, NotCheckable, partial, plain, sign, variables
+from pbcgen.symbolic.plain.values import Dual, Field, Function, NotCheckable, apply, partial, plain, sign, variables
 
 
 class Fails(Exception):
@@ -299,3 +299,31 @@ class System:
         x = product(xi, P, diagonal([h] * self.n)) if Q else []
         u = plus(D, product(C, x)) if Q else D
         return blocks([[plus(Ad, product(Bd, u)), product(Bd, C, xi) if Q else [[]] * self.n], [x, xi]])
+
+    # --- where the filters rest ------------------------------------------------------------------------------------
+
+    @property
+    def push(self) -> list[Any]:
+        """The input where the filters rest: a constant, beside the force that is compensated."""
+        constant = self.field.symbols[self.n :]
+        return [a + b for a, b in zip(constant, self.force, strict=True)] if self.compensated else constant
+
+    @property
+    def resting_input(self) -> list[Any]:
+        """This constant at x*."""
+        return [fmpq(0)] * self.m if self.compensated else self.point[1]
+
+    def rest_equations(self, z: Sequence[Any]) -> list[Any]:
+        """``f + g u`` with ``u = u_c + c``, and what the filters ask of c; zero at equilibria of the closed loop."""
+        x, c = z[: self.n], z[self.n :]
+        found, u = self.walk(x), c
+        if self.compensated:
+            V = self.potential(variables(x[: self.half]), fmpq)
+            u = [v + partial(V, k) for k, v in enumerate(c)]
+        drift = plus(found["f"], product(found["g"], [[v] for v in u]))
+        w = [[a - b] for a, b in zip(c, self.resting_input, strict=True)]
+        offset = plus(found["gamma"], self.numbers("gamma"), -1)
+        if "K_c" in self.model.gains:
+            offset = plus(offset, product(fmpq_mat(self.model.gains["K_c"]).inv().tolist(), w))
+        pairs = zip(w, self.model.vector("alpha"), self.model.vector("beta"), offset, strict=True)
+        return [v for (v,) in drift] + [v + a * apply("tanh", z * b) for (v,), a, b, (z,) in pairs]

@@ -9,10 +9,10 @@ from flint import fmpq
 
 from pbcgen.reading.sums import Sums
 from pbcgen.reading.system import require
-from pbcgen.symbolic.plain.elimination import Elimination
+from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, is_definite, plus, product, transpose
-from pbcgen.symbolic.plain.values import INCREASING, NotCheckable, plain, sign, variables
+from pbcgen.symbolic.plain.values import NotCheckable, plain, sign, variables
 
 _AMPLITUDES = ("alpha", "alpha_c", "alpha_l", "alpha_psi", "k_p")
 
@@ -26,20 +26,6 @@ _ELSEWHERE |= {"sampled loop", "sampled loop, all x"}
 
 class Assumptions(Sums):
     """One method for each claim and status; it raises Fails unless the certificate shows the claim."""
-
-    @property
-    def rows(self) -> list[Any]:
-        """For each square of passive-output a function that vanishes where the square does, in (x, u)."""
-        one_u, found = [self.field.lift(1), *self.field.symbols[self.n :]], []
-        for _, factors, places in self.witness["passive-output"]["squares"]:
-            row = dot(self.vector(places), one_u)
-            for kind, a, b, alone in factors:
-                if kind in INCREASING and not alone:
-                    row = row * (self.placed[a] - (0 if b is None else self.placed[b]))
-                elif kind != "exp":
-                    row = row * self._factor("passive-output", kind, a, b, alone)
-            found.append(row)
-        return found
 
     def reaches(self, claim: str) -> bool:
         """Whether the domain that the certificate states for a claim is one that is checked."""
@@ -98,17 +84,48 @@ class Assumptions(Sums):
         self.nonnegative(self.power, "passive-output")
 
     def refuted_passive_output(self) -> None:
-        """``S' > u^T gamma'`` for the model's gamma, at a state and an input."""
+        """``S' > u^T gamma'`` for the model's gamma, at a state and an input; or there is no gamma."""
         if "gamma" not in self.model.formulas.outputs:
-            raise NotCheckable("that no gamma exists is not checked again")
+            return self._no_output()
         z = [rational(v) for v in self.witness["passive-output"]["x"]]
         require(self.inside(dict(zip(self.states, z[: self.n], strict=True))), "the state is not in the domain")
         found, u = self.walk(variables(z[: self.n])), z[self.n :]
-        slopes = plus(self.jacobian(found["S"]), product([u], self.jacobian(found["gamma"])), -1)
+        along = plus(self.jacobian(found["S"]), product([u], self.jacobian(found["gamma"])), -1)
         rates = plus(found["f"], product(found["g"], [[v] for v in u]))
-        require(
-            sign(product(slopes, [[plain(v) for v in row] for row in rates])[0][0]) == 1, "the storage is passive here"
+        power = product(along, [[plain(v) for v in row] for row in rates])[0][0]
+        return require(sign(power) == 1, "the storage is passive here")
+
+    def _no_output(self) -> None:
+        """What Z(x) >= 0 asks of ``psi = grad gamma_i`` where f = 0 on a set of states, and psi cannot be.
+
+        There it asks for ``g_i^T grad S = 0``, and in a direction d in which the loss vanishes to third order for
+        ``psi^T J d = d^T grad (g_i^T grad S)`` with J = df/dx. That is wrong where J d = 0; or J d is a unit vector for
+        two directions, and these entries of psi are no gradient along the set.
+        """
+        witness, chain, x = (
+            self.witness["passive-output"],
+            self.on_set("passive-output"),
+            self.given("passive-output", "x"),
         )
+        require(all(v.number() == x[k] for k, v in chain.solved.items()), "the state is not in the set")
+        require(self.inside(dict(zip(self.states, x, strict=True)), {1}), "the state is not in the domain")
+        natural = dot(transpose(self.functions("g"))[witness["input"]], self.slope("S")[0])
+        gradients = self.column("f"), slopes(self.field, self.rate("S")[0][0])[: self.n]
+        J, curvature = ([slopes(self.field, v)[: self.n] for v in part] for part in gradients)
+        self.zero([chain.reduced(v) for v in self.column("f")], "f is not zero on the set")
+        found = [(None, chain.reduced(natural))]
+        for target, places in witness["vectors"]:
+            d = self.vector(places)
+            moved = [dot(row, d) - int(k == target) for k, row in enumerate(J)]
+            vanish = [chain.reduced(v) for v in (*moved, *(dot(row, d) for row in curvature))]
+            self.zero(vanish, "the direction is not as it must be")
+            found.append((target, chain.reduced(dot(slopes(self.field, natural)[: self.n], d))))
+        (j, first), (k, value) = found[-2:] if len(found) > 1 else (found[0], found[0])
+        if k is not None:
+            require({j, k} <= {*range(self.n)} - {*chain.solved}, "the entries are not along the set")
+            value = slopes(self.field, first)[k] - slopes(self.field, value)[j]
+        point = [*x, *[fmpq(0)] * self.m]
+        require(sign(put_in(self.field, value, point)) in (1, -1), "this contradicts nothing")
 
     def proved_gradient_condition(self) -> None:
         """``grad S + grad gamma kappa = 0`` at x*: exactly, or because ``f + g u = 0`` leaves nothing else."""
@@ -166,10 +183,20 @@ class Assumptions(Sums):
         Lambda = [v for name in ("Lambda_l", "Lambda_c") for v in self.given("assumption-3", name)]
         eta, gamma = self.rate("eta"), self.rate("gamma")
         require(min(Lambda) > 0 and 1 <= len(eta) <= self.n - self.m, "Lambda or eta is not as it must be")
-        slopes = product(self.slope("eta"), transpose(self.slope("gamma")))
-        self.zero([v for row in slopes for v in row], "gamma and eta are coupled")
+        coupling = product(self.slope("eta"), transpose(self.slope("gamma")))
+        self.zero([v for row in coupling for v in row], "gamma and eta are coupled")
         rates = eta + gamma
         self.nonnegative(plus(self.power, product(transpose(rates), diagonal(Lambda), rates), -1), "assumption-3")
+
+    def refuted_assumption_3(self) -> None:
+        """On a set of states and inputs nothing is lost, and an output is not zero."""
+        chain, z = self.on_set("assumption-3"), self.given("assumption-3", "z")
+        self.zero([chain.reduced(self.power_at(self.field.symbols[self.n :]))], "something is lost on the set")
+        place = [put_in(self.field, chain.reduced(v), z) for v in self.field.symbols]
+        require(self.inside(dict(zip(self.states, place, strict=False))), "the set leaves the domain")
+        one_u = [1, *place[self.n :]]
+        y = [dot([put_in(self.field, v, place) for v in row], one_u) for row in self.rate("gamma")]
+        require({1, -1} & {sign(v) for v in y}, "the outputs may be zero")
 
     @property
     def theta(self) -> Matrix:

@@ -24,7 +24,7 @@ from pbcgen.symbolic.plain.matrices import (
     stable,
     transpose,
 )
-from pbcgen.symbolic.plain.values import NotCheckable, apply, partial, sign, variables
+from pbcgen.symbolic.plain.values import NotCheckable, sign
 from pbcgen.verify.assumptions import Assumptions
 
 _GLOBAL = "globally-asymptotically-stable"
@@ -94,38 +94,22 @@ class Stability(Assumptions):
 
     def _undamped(self) -> None:
         self.lyapunov()
-        set_ = {int(k): self.placed[place] for k, place in self.witness["asymptotically-stable"]["set"].items()}
+        chain = self.on_set("asymptotically-stable")
+        set_ = chain.solved
         require(len(set_) < self.n and max(set_, default=0) < self.n, "the set has no other states than x*")
         constants = [row[0] - v for name in ("gamma", "eta") if name in self.exact for row, v in self.changes(name)]
-        chain = Elimination(self.field, self.rates, [])
         chain.solved = {self.n + j: self.field.lift(u) for j, u in enumerate(self.resting_input)} | set_
         for k, value in set_.items():
             require(sign(put_in(self.field, value, self.point[0]) - self.point[0][k]) == 0, "x* is not in the set")
             constants.append(dot(slopes(self.field, self.field.symbols[k] - value), self.rates))
-        self.zero([chain.reduced(v) for v in [*constants, self._power_at(self.push)]], "the set is not as it must be")
+        self.zero([chain.reduced(v) for v in [*constants, self.power_at(self.push)]], "the set is not as it must be")
         self._smooth()
 
     def changes(self, name: str) -> Any:
         """The functions of a column, each with its value at x*."""
         return zip(self.functions(name), [v for (v,) in self.numbers(name)], strict=True)
 
-    def _power_at(self, u: Sequence[Any]) -> Any:
-        """``u^T gamma' - S'`` for these inputs."""
-        one_u = [self.field.lift(1), *u]
-        return dot(one_u, [dot(row, one_u) for row in self.power])
-
     # --- LaSalle's invariant set -----------------------------------------------------------------------------------
-
-    @property
-    def push(self) -> list[Any]:
-        """The input where the filters rest: a constant, beside the force that is compensated."""
-        constant = self.field.symbols[self.n :]
-        return [a + b for a, b in zip(constant, self.force, strict=True)] if self.compensated else constant
-
-    @property
-    def resting_input(self) -> list[Any]:
-        """This constant at x*."""
-        return [fmpq(0)] * self.m if self.compensated else self.point[1]
 
     @property
     def rates(self) -> list[Any]:
@@ -242,21 +226,6 @@ class Stability(Assumptions):
         apart = [sign(a - b) for a, b in zip((box or [])[: self.n], self.point[0], strict=True)]
         require({1, -1} & {*apart}, "this may be x* again")
         return None
-
-    def rest_equations(self, z: Sequence[Any]) -> list[Any]:
-        """``f + g u`` with ``u = u_c + c``, and what the filters ask of c; zero at equilibria of the closed loop."""
-        x, c = z[: self.n], z[self.n :]
-        found, u = self.walk(x), c
-        if self.compensated:
-            V = self.potential(variables(x[: self.half]), fmpq)
-            u = [v + partial(V, k) for k, v in enumerate(c)]
-        drift = plus(found["f"], product(found["g"], [[v] for v in u]))
-        w = [[a - b] for a, b in zip(c, self.resting_input, strict=True)]
-        offset = plus(found["gamma"], self.numbers("gamma"), -1)
-        if "K_c" in self.model.gains:
-            offset = plus(offset, product(fmpq_mat(self.model.gains["K_c"]).inv().tolist(), w))
-        pairs = zip(w, self.model.vector("alpha"), self.model.vector("beta"), offset, strict=True)
-        return [v for (v,) in drift] + [v + a * apply("tanh", z * b) for (v,), a, b, (z,) in pairs]
 
     # --- sampled ---------------------------------------------------------------------------------------------------
 

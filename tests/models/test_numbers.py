@@ -22,7 +22,9 @@ from pbcgen.models.numbers import as_written, named_numbers
         (0.30000000000000054, "0.30000000000000054"),
         (0.1234567890123456, "0.1234567890123456"),
         (3.141592653589793, "3.141592653589793"),
-        (0.7 / 3, "0.2333333333333333"),
+        (0.7 / 3, "7/30"),
+        (-2 / 3, "-2/3"),
+        (1e-7 / 3, "3.3333333333333334e-08"),
         (5e-324, "5e-324"),
         (0.0, "0"),
     ],
@@ -46,10 +48,18 @@ def test_expressions_share_parameters_and_keep_their_values():
 
 def test_short_numbers_stay_numbers():
     x = ca.SX.sym("x")
-    value = 3 * x**2 / 8 - 0.5 * x
+    value = 3 * x**2 / 8 - 0.5 * x + 3 / x
     found, parameters = named_numbers([value], "c", Parameters())
     assert found[0] is value
     assert len(parameters) == 0
+
+
+def test_what_is_divided_by_an_integer_keeps_it_as_a_parameter():
+    """CasADi writes the slope of x^2/3 with the double next to 2/3."""
+    x = ca.SX.sym("x")
+    (found,), parameters = named_numbers([x**2 / 3 + x**2 / 4], "c", Parameters())
+    assert dict(parameters.values) == {"c_1": 3}
+    assert ca.depends_on(found, parameters.symbols)
 
 
 def test_a_name_that_is_taken_is_not_used_twice():

@@ -11,7 +11,7 @@ import pytest
 from certificates import IDLE, certificate_of, outcomes, signed, spoiled
 from designs import DESIGNS
 
-from pbcgen import AffineSystem, Design, DynamicExtension
+from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical, NaturalDamping
 from pbcgen.control import stability_witness
 from pbcgen.control.certificate import certificate
 from pbcgen.control.derive import derive
@@ -399,3 +399,92 @@ def test_rates_that_are_no_combination_of_what_vanishes_are_refused():
                 changed = with_witness(document, GLOBAL, rates=rates | {i: row | {j: weight}})
                 assert outcomes(changed)[GLOBAL] == "fails"
     assert outcomes(with_witness(document, GLOBAL, rates={}))[GLOBAL] == "fails"
+
+
+def _without(f, g, S, **options):
+    x = ca.SX.sym("x", len(f(*[ca.SX(1)] * 9)))
+    parts = ca.vertsplit(x)
+    system = AffineSystem(x, [ca.SX.sym("u")], f(*parts), g(*parts), S(*parts), **options)
+    return Design(system, {"x_0": "0.25"}, DynamicExtension(2, 3, 4, 1), sample_period="1e-3", name="without")
+
+
+def _half(*x):
+    return sum(v**2 for v in x) / 2
+
+
+#: No gamma exists: the natural output does not vanish at rest; equations for its gradient contradict each other; where
+#: they determine it, it has a curl.
+WITHOUT_GAMMA = {
+    "output": (0, lambda **o: _without(lambda x, y, *_: [0, -y], lambda x, y: [1, 0], _half, **o)),
+    "contradiction": (
+        1,
+        lambda **o: _without(
+            lambda x, y, z, *_: [3 * ca.sin(z) - y, x - 3 * ca.sin(z), y - x],
+            lambda x, y, z: [1, 0, 0],
+            lambda x, y, z: (x**2 + y**2) / 2 - 3 * ca.cos(z),
+            **o,
+        ),
+    ),
+    "curl": (
+        2,
+        lambda **o: _without(
+            lambda a, c, p, r, *_: [p, r, 0, 0], lambda a, c, p, r: [0, 0, c, 2], lambda a, c, p, r: _half(p, r), **o
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WITHOUT_GAMMA)
+def test_that_no_gamma_exists_is_checked_again(name):
+    vectors, make = WITHOUT_GAMMA[name]
+    document = _written_for(make())
+    claim, found = "passive-output", witness(document, "passive-output")
+    assert status(document, claim) == "REFUTED"
+    assert outcomes(document)[claim] == "checked"
+    assert len(found["vectors"]) == vectors
+    zero = next(iter(found["set"].values()))
+    elsewhere = [[str(k), *found["x"][1:]] for k in (1, 2)] if "0" in found["set"] else []
+    changes = [{"x": x} for x in elsewhere]
+    changes += [{"set": {k: v for k, v in found["set"].items() if k != left}} for left in found["set"]]
+    changes += [{"set": {**found["set"], "0": zero + 1}}]
+    for k, (target, places) in enumerate(found["vectors"]):
+        others = [None if target is not None else 0, 1 if target == 0 else 0]
+        forged = [[other, places] for other in others] + [[target, [None] * len(places)]]
+        forged += [[target, [*places[:i], zero + 7, *places[i + 1 :]]] for i in range(len(places))]
+        changes += [{"vectors": [*found["vectors"][:k], other, *found["vectors"][k + 1 :]]} for other in forged]
+    for change in changes:
+        assert outcomes(with_witness(document, claim, **change))[claim] == "fails", change
+
+
+def test_no_vectors_show_that_a_gamma_that_exists_does_not():
+    """With the witness of a model that has none, and with every unit vector."""
+    good = _written_for(_without(lambda a, c, p, r, *_: [p, r, -a, -c], lambda a, c, p, r: [0, 0, 1, 2], _half))
+    assert status(good, "passive-output") == "PROVED"
+    bad = _written_for(WITHOUT_GAMMA["curl"][1]())
+    found = witness(bad, "passive-output")
+    forged = copy.deepcopy(good | {"terms": bad["terms"]})
+    for entry in forged["claims"]:
+        entry["status"] = "REFUTED" if entry["claim"] == "passive-output" else entry["status"]
+    for change in (found, found | {"set": {}}, found | {"vectors": []}, found | {"vectors": found["vectors"][:1]}):
+        assert outcomes(with_witness(forged, "passive-output", **change))["passive-output"] == "fails"
+
+
+def _undamped_port(friction):
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    V = (q[0] - q[1]) ** 2 - 3 * ca.cos(q[1]) + ca.sin(q[0])
+    system = Mechanical(q, p, M=ca.SX([2, 3]), V=V, G=[[1], [0]], D=[friction, 1])
+    law = NaturalDamping(alpha_c=3, beta_c=2, K_c=1, R_c="1/2", alpha_l="1/2", beta_l=1, K_l=10, R_l=1)
+    return Design(system, {"q_0": "0.5"}, law, sample_period="1e-3", name="port")
+
+
+def test_an_output_that_nothing_damps_is_refuted_again():
+    claim, document = "assumption-3", _written_for(_undamped_port(0))
+    found = witness(document, claim)
+    assert status(document, claim) == "REFUTED"
+    assert outcomes(document)[claim] == "checked"
+    assert outcomes(with_witness(document, claim, set={}))[claim] == "fails"
+    assert outcomes(with_witness(document, claim, z=["0"] * len(found["z"])))[claim] == "fails"
+    good = _written_for(_undamped_port(0.125))
+    for entry in good["claims"]:
+        entry.update({"status": "REFUTED", "witness": found} if entry["claim"] == claim else {})
+    assert outcomes(signed(good | {"terms": document["terms"]}))[claim] == "fails"
