@@ -31,7 +31,8 @@ from typing import Final
 from pbcgen.errors import EmitError
 
 MAX_LENGTH: Final = 60
-MAX_PREFIX: Final = 40
+#: Functions of a package differ within its prefix and seven characters more; C99 compares 31 of external names.
+MAX_PREFIX: Final = 24
 
 _C_KEYWORDS: Final = """
     auto break case char const continue default do double else enum extern float for goto if inline int long register
@@ -146,15 +147,23 @@ def package_prefix(requested: str | None, design: str) -> str:
     """
     if requested is None:
         prefix = legal(design.lower())[:MAX_PREFIX].rstrip("_")
+        if prefix.startswith(_ARDUINO):
+            prefix = f"c_{prefix}"[:MAX_PREFIX].rstrip("_")
         return f"{prefix}_control" if prefix in RESERVED_PREFIXES | RESERVED else prefix
     suggestion = package_prefix(None, requested)
     if requested != legal(requested) or requested.endswith("_"):
         raise EmitError(f"the prefix `{requested}` is not a free C identifier: use for example `{suggestion}`")
     if requested.lower() in RESERVED_PREFIXES:
         raise EmitError(f"the prefix `{requested}` names a standard header or build target: use `{suggestion}`")
+    if requested.lower().startswith(_ARDUINO):
+        raise EmitError(f"the prefix `{requested}` names a library of the Arduino project: use `{suggestion}`")
     if len(requested) > MAX_PREFIX:
         raise EmitError(f"the prefix `{requested}` is longer than {MAX_PREFIX} characters: choose a shorter one")
     return requested
+
+
+#: Only libraries of the Arduino project may have names that start like this.
+_ARDUINO: Final = "arduino"
 
 
 def spell(name: str) -> str:

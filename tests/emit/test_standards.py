@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import subprocess
@@ -147,24 +146,3 @@ def test_the_arduino_sketch_compiles_as_cpp(packages, tmp_path):
         run([*compiler(), *flags, "-c", str(tmp_path / "sketch.cpp"), "-o", str(tmp_path / "sketch.o")])
         example = next(directory.glob("*_example.c"))
         run([*compiler(), "-std=c99", "-DARDUINO=1", "-pedantic", "-Werror", "-c", str(example), "-o", "/dev/null"])
-
-
-def test_the_library_manifests_are_valid(packages):
-    for directory in packages:
-        library = json.loads((directory / "library.json").read_text())
-        assert {"name", "version", "headers"} <= set(library)
-        assert (directory / library["headers"]).exists()
-        properties = dict(line.split("=", 1) for line in (directory / "library.properties").read_text().splitlines())
-        required = {
-            "name",
-            "version",
-            "author",
-            "maintainer",
-            "sentence",
-            "paragraph",
-            "category",
-            "url",
-            "architectures",
-        }
-        assert required <= set(properties)
-        assert (directory / properties["includes"]).exists()
