@@ -276,12 +276,11 @@ def _kinetic(system: Stability, energy: Function) -> list[tuple[Function, Functi
     if n % 2 or n == 0:
         return []
     H = [slopes(field, row)[half:n] for row in slopes(field, energy)[half:n]]
-    if any(slopes(field, v)[j].top for row in H for v in row for j in momenta) or not any(
-        v.top for row in H for v in row
-    ):
-        return []
-    if all(v.number() is not None for row in H for v in row):
+    entries = [v for row in H for v in row]
+    if all(v.number() is not None for v in entries):
         return []  # part of the constant quadratic form
+    if any(slopes(field, v)[j].top for v in entries for j in momenta):
+        return []
     return [(d / 2, t) for d, t in _diagonal(H, field.symbols[half:n])]
 
 
@@ -294,13 +293,13 @@ def _diagonal(matrix: Sequence[Sequence[Function]], z: Sequence[Function]) -> li
             if any(v.top for v in work[i]):
                 return []
             continue
-        t = z[i] * 0
-        ratios = [v / pivot for v in work[i]]
-        for ratio, variable in zip(ratios[i:], z[i:], strict=True):
-            t = t + ratio * variable
+        ratios = {k: v / pivot for k, v in enumerate(work[i]) if k >= i and v.top}
+        t = z[i]
+        for k, ratio in ratios.items():
+            t = t if k == i else t + ratio * z[k]
         found.append((pivot, t))
-        for a in range(i + 1, len(work)):
-            for b in range(i + 1, len(work)):
+        for a in ratios.keys() - {i}:
+            for b in ratios.keys() - {i}:
                 work[a][b] = work[a][b] - ratios[a] * pivot * ratios[b]
         for a in range(len(work)):
             work[a][i] = work[i][a] = z[i] * 0

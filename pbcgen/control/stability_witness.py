@@ -31,7 +31,7 @@ from pbcgen.verify.stability import Stability
 #: Larger loops have a Lyapunov matrix in the certificate; smaller ones are decided by Routh's array.
 _LARGEST_ROUTH = 20
 #: Larger systems have no chain of implications in the certificate; it would take minutes to check.
-_LARGEST_CHAIN = 40
+_LARGEST_CHAIN = 100
 _DIGITS = (5, 8, 12, 17)
 _RADIUS, _ROUNDS, _PLACES = "1e-70", 12, 80
 _MISFITS = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError)
