@@ -59,7 +59,7 @@ typedef enum
     PERA_STATE_RESET = 2,
     /* the computation overflowed; the state was kept, the outputs are the last valid outputs */
     PERA_OUT_OF_RANGE = 3,
-    /* a measurement is NaN or infinite; the state was kept, the outputs are the last valid outputs */
+    /* a measurement is NaN or beyond 9.2e+18; the state was kept, the outputs are the last valid outputs */
     PERA_INVALID_INPUT = 4,
     /* a pointer is null; nothing was read, the outputs are the equilibrium input */
     PERA_INVALID_ARGUMENT = 5

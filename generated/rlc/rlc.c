@@ -31,7 +31,7 @@ static rlc_status_t rlc_examine(rlc_state_t *state, const rlc_input_t *input)
         rlc_init(state);
         status = RLC_STATE_RESET;
     }
-    if (!(((input->x3 - input->x3)) == 0.0f)) /* x - x is NaN for NaN and infinity */
+    if (!(((input->x3 * input->x3)) <= 8.507059e+37f))
     {
         status = RLC_INVALID_INPUT;
     }
@@ -50,37 +50,42 @@ static void rlc_fall_back(rlc_output_t *output)
 }
 
 /*
- * tanh(r) for r >= 0: a rational function, at most 5.8 units in the last place (3.5e-07) off. The cut at 1 makes it 1
- * beyond the interval of the fit, and where a product overflows: the comparison is false for NaN.
+ * x P(y)/Q(y), its magnitude cut at 1, also where a product overflows; NaN if x is NaN. k: the coefficients of P from
+ * the highest down, then those of Q without the last one, which is 1.
  */
-static float rlc_tanh_of_magnitude(float r)
+static inline float rlc_cut_ratio(const float k[9], float x, float y)
 {
-    const float y = r * r;
-    const float p = (((1.3384294e-08f * y + 2.0635805e-05f) * y + 0.003497457f) * y + 0.13382679f) * y + 1.0f;
-    const float q = (((7.790226e-07f * y + 0.0003288518f) * y + 0.025884341f) * y + 0.46716f) * y + 1.0f;
-    const float quotient = r * p / q;
+    const float p = (((k[0] * y + k[1]) * y + k[2]) * y + k[3]) * y + k[4];
+    const float q = (((k[5] * y + k[6]) * y + k[7]) * y + k[8]) * y + 1.0f;
+    const float t = x * p / q;
 
-    return (quotient < 1.0f) ? quotient : 1.0f;
+    return (fabsf(t) <= 1.0f) ? t : (x / fabsf(x));
 }
 
 /*
- * tanh(s) of the solution of s + mu tanh(s) = c for mu = 4.8019803e-05, at most 2.9e-07 off for every c (in exact
- * arithmetic): a polynomial start, one tanh, and a Taylor step of order 1 in the error of the start.
+ * tanh(x): a rational function, at most 5.8 units in the last place (3.5e-07) off. The cut at 1 is for what lies
+ * beyond the interval of the fit.
+ */
+static float rlc_tanh(float x)
+{
+    static const float k[9] = {
+        1.3384294e-08f, 2.0635805e-05f, 0.003497457f, 0.13382679f, 1.0f,
+        7.790226e-07f, 0.0003288518f, 0.025884341f, 0.46716f
+    };
+
+    return rlc_cut_ratio(k, x, x * x);
+}
+
+/*
+ * tanh(s) of the solution of s + mu tanh(s) = c for mu = 4.8019803e-05, at most 3.9e-10 off for every c (in exact
+ * arithmetic): tanh(c), corrected.
  */
 static float rlc_solve_0(float c)
 {
-    const float mu = 4.8019803e-05f;
-    const float r = fabsf(c);
-    const float s = r * 0.99995196f;
-    float t;
-    float d;
-    float q;
+    const float t = rlc_tanh(c);
+    const float y = t * t;
 
-    t = rlc_tanh_of_magnitude(s);
-    d = 1.0f - t * t;
-    q = (s - r) + mu * t;
-    t -= d * q;
-    return (c < 0.0f) ? -t : t;
+    return t - t * (1.0f - y) * 4.8019258e-05f;
 }
 
 rlc_status_t rlc_step(rlc_state_t *state, const rlc_input_t *input,
@@ -97,7 +102,8 @@ rlc_status_t rlc_step(rlc_state_t *state, const rlc_input_t *input,
         return RLC_INVALID_ARGUMENT;
     }
     /* Squares, so that one comparison finds NaN, infinity and corruption; what it was is found out only then. */
-    if (!(((input->x3 * input->x3) + (state->x_c * state->x_c)) <= 8.507059e+37f))
+    if (!((((state->x_c * state->x_c))
+          + ((input->x3 * input->x3))) <= 8.507059e+37f))
     {
         status = rlc_examine(state, input);
         if (status == RLC_INVALID_INPUT)

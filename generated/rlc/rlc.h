@@ -51,7 +51,7 @@ typedef enum
     RLC_STATE_RESET = 2,
     /* the computation overflowed; the state was kept, the outputs are the equilibrium input */
     RLC_OUT_OF_RANGE = 3,
-    /* a measurement is NaN or infinite; the state was kept, the outputs are the equilibrium input */
+    /* a measurement is NaN or beyond 9.2e+18; the state was kept, the outputs are the equilibrium input */
     RLC_INVALID_INPUT = 4,
     /* a pointer is null; nothing was read, the outputs are the equilibrium input */
     RLC_INVALID_ARGUMENT = 5

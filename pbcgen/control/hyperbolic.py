@@ -23,6 +23,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from pbcgen.control.law import Precision
@@ -58,9 +60,12 @@ FAST_SEEN: Final = (12.0, 1.3e-15)
 LIBM_ULP: Final[dict[Precision, float]] = {"float": 2.2, "double": 2.3}
 
 
-#: 2 (cosh(z) - 1) = z^2 (C_0 + C_1 z^2 + ...), and how often the argument is doubled.
-COSH: Final = (1.0, 0.083334082, 0.0027754192, 5.169666e-05)
+#: How often the argument is doubled, and 2 (cosh(z) - 1) = x^2 (C_0 + C_1 x^2 + ...) for z = x / 2^DOUBLINGS.
 DOUBLINGS: Final = 6
+COSH: Final = tuple(
+    coefficient * 0.25 ** (DOUBLINGS * (k + 1))
+    for k, coefficient in enumerate((1.0, 0.083334082, 0.0027754192, 5.169666e-05))
+)
 
 
 def default_tanh(precision: Precision) -> Tanh:
@@ -70,42 +75,35 @@ def default_tanh(precision: Precision) -> Tanh:
 
 def fast_tanh(x: NDArray[Any]) -> NDArray[Any]:
     """The rational function, elementwise, with the operations of the C in their order."""
-    magnitude = fast_tanh_of_magnitude(np.abs(x))
-    result: NDArray[Any] = np.where(x < 0, -magnitude, magnitude)
-    return result
+    working: Precision = "float" if x.dtype == np.float32 else "double"
+    return cut_ratio((1.0, *NUMERATOR[working]), DENOMINATOR[working], x, x * x)
 
 
-def fast_tanh_of_magnitude(r: NDArray[Any]) -> NDArray[Any]:
-    """The rational function for r >= 0."""
-    real = r.dtype.type
-    one, y = real(1), r * r
-    working: Precision = "float" if r.dtype == np.float32 else "double"
-    p, q = _horner(NUMERATOR[working], y), _horner(DENOMINATOR[working], y)
-    quotient = r * p / q
-    result: NDArray[Any] = np.where(quotient < one, quotient, one)
+def cut_ratio(
+    numerator: Sequence[float], denominator: Sequence[float], x: NDArray[Any], y: NDArray[Any]
+) -> NDArray[Any]:
+    """``x P(y)/Q(y)``, elementwise, its magnitude cut at 1; coefficients from the constant up, that of Q is 1."""
+    p, q = _horner(numerator, y), _horner((1.0, *denominator), y)
+    quotient = x * p / q
+    result: NDArray[Any] = np.where(np.abs(quotient) <= x.dtype.type(1), quotient, x / np.abs(x))
     return result
 
 
 def fast_cosh(x: NDArray[Any]) -> NDArray[Any]:
     """The cosh of doubled arguments, elementwise, with the operations of the C in their order."""
     real = x.dtype.type
-    z = x * real(0.5**DOUBLINGS)
-    y = z * z
-    w = np.full_like(y, real(COSH[-1]))
-    for coefficient in reversed(COSH[:-1]):
-        w = w * y + real(coefficient)
-    w = w * y
+    y = x * x
+    w = _horner(COSH, y) * y
     for _ in range(DOUBLINGS - 1):
         w = w * (w + real(4))
     result: NDArray[Any] = real(0.5) * w * (w + real(4)) + real(1)
     return result
 
 
-def _horner(coefficients: tuple[float, ...], y: NDArray[Any]) -> NDArray[Any]:
-    """The polynomial with these coefficients of y, y^2, ... and the constant 1."""
+def _horner(coefficients: Sequence[float], y: NDArray[Any]) -> NDArray[Any]:
+    """The polynomial, coefficients from the constant up."""
     real = y.dtype.type
     result: NDArray[Any] = np.full_like(y, real(coefficients[-1]))
     for coefficient in reversed(coefficients[:-1]):
         result = result * y + real(coefficient)
-    total: NDArray[Any] = result * y + real(1)
-    return total
+    return result

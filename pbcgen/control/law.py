@@ -36,26 +36,31 @@ class Signal:
 
 
 @dataclass(frozen=True)
-class Start:
-    """A piecewise polynomial start s_0(r) for the root of ``s + mu tanh(s) = r``, r >= 0.
+class Piece:
+    """A rational function P/Q of what lies between ``knot`` and ``knot + length``; coefficients from the constant up.
 
     Attributes:
-        low: the first piece is ``r (low[0] + low[1] r^2 + ...)``; it is the only one if there are no knots.
-        middle: coefficients, from the constant up, of the piece between two knots.
-        knots: where the next piece begins, one knot without a middle piece, two with it; the last piece is ``r - mu``.
+        numerator: of P.
+        denominator: of Q, without its constant, which is 1.
     """
 
-    low: tuple[float, ...]
-    middle: tuple[float, ...] = ()
-    knots: tuple[float, ...] = ()
+    knot: float
+    length: float
+    numerator: tuple[float, ...]
+    denominator: tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Taylor:
-    """A start and the order of the Taylor step that follows it; t is off by at most ``error_bound`` for every r."""
+class Fit:
+    """t as a function of c, off by at most ``error_bound`` for every c; see :mod:`pbcgen.control.fitted`.
 
-    start: Start
-    order: int
+    Attributes:
+        correction: coefficients of p(T^2), from the constant up; empty if there are pieces.
+        pieces: the first one from zero, odd; the others where their knots say.
+    """
+
+    correction: tuple[float, ...]
+    pieces: tuple[Piece, ...]
     error_bound: float
 
 
@@ -63,7 +68,7 @@ class Taylor:
 class ScalarSolve:
     """Channel ``index``: ``s + mu tanh(s) = c`` with ``mu = N[index, index] >= 0``.
 
-    With ``taylor``: one evaluation of tanh, for the mu that N holds as a constant. Otherwise Newton's method from
+    With ``fit``: t is a function of c, for the mu that N holds as a constant. Otherwise Newton's method from
     ``max(r/(1+mu), r-mu)`` for ``r = abs(c)``: ``iterations`` steps leave an error of at most ``error_bound`` in s for
     every c. Both bounds are for exact arithmetic.
     """
@@ -71,7 +76,7 @@ class ScalarSolve:
     index: int
     iterations: int
     error_bound: float
-    taylor: Taylor | None = None
+    fit: Fit | None = None
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Final
 
+from pbcgen.control.fitted import fitted_solve
 from pbcgen.control.implicit import scalar_iterations
 from pbcgen.control.law import ControlLaw, Precision, ScalarSolve, VectorSolve
 from pbcgen.control.rounding import nearest
-from pbcgen.control.taylor import taylor_solve
 
 if TYPE_CHECKING:
     from pbcgen.control.hyperbolic import Tanh
@@ -37,8 +37,8 @@ def choose_solves(
 ) -> tuple[ScalarSolve | VectorSolve, ...]:
     """The solves for the N of a law's prepare tape; ``bounds`` has the largest mu of channels whose mu is computed.
 
-    Channels that N couples are solved together. An uncoupled channel whose mu is a constant needs one evaluation of
-    the fast tanh in float; every other one is solved by Newton's method.
+    Channels that N couples are solved together. An uncoupled channel whose mu is a constant is fitted in float with the
+    fast tanh; every other one is solved by Newton's method.
     """
     entries = prepare.walk(_Constants(), [[None] * size for size in prepare.input_sizes])[1].entries
     unit = 2.0**-24 if precision == "float" else 2.0**-53
@@ -56,9 +56,9 @@ def _scalar(index: int, mu: Fraction | None, precision: Precision, tanh: Tanh, l
     if mu is not None and mu > 0 and precision == "float" and tanh == "fast":
         what = f"mu = N[{index}, {index}] of the loop equation (a product of h, alpha, beta and R)"
         rounded = Fraction(float(nearest(mu, precision, what)))
-        taylor = taylor_solve(rounded)
-        if taylor is not None:
-            return ScalarSolve(index, 0, taylor.error_bound, taylor)
+        fit = fitted_solve(rounded)
+        if fit is not None:
+            return ScalarSolve(index, 0, fit.error_bound, fit)
     bound = scalar_iterations(largest * _ROUNDED if mu is None else mu, precision)
     return ScalarSolve(index, bound.iterations, bound.error)
 

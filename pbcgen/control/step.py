@@ -8,9 +8,10 @@ One step
 --------
 1. A state that is not finite, or whose sum of squares is above STATE_LIMIT^2, is set to its initial value; the status
    is then at least STATE_RESET. Numbers that a setter may change are states that start at the declared values.
-2. A measurement that is not finite: the output is the fallback of the law, the state is kept, INVALID_INPUT.
+2. Measurements of which one is not finite, or whose sum of squares is above STATE_LIMIT^2: the output is the fallback
+   of the law, the state is kept, INVALID_INPUT.
 3. *prepare*: c and N. Unless a computed N is finite and a computed mu >= 0, and c is finite for a block or a channel
-   without Newton or Taylor step: fallback output, state kept, OUT_OF_RANGE.
+   without a fit or a Newton step: fallback output, state kept, OUT_OF_RANGE.
 4. *solve*: t = tanh(s), see below. Where c was not checked, an infinite or undefined c gives t = NaN, which the next
    check sees.
 5. *update*: the next state and u. Unless the sum of all their squares is at most STATE_LIMIT^2: fallback output,
@@ -18,7 +19,7 @@ One step
 6. u is clamped to its interval, rounded inward to the precision; by comparisons, so that no bit pattern escapes.
 
 If several statuses apply, the largest is returned. A fallback to the last valid output uses the equilibrium output in
-place of a held value that is not in its interval. The C tests first whether the sum of the squares of state and
+place of a held value that is not in its interval. The C tests first whether the sum of all the squares of state and
 measurements is at most STATE_LIMIT^2, and looks for the reason only if it is not: the sum is above that limit, or NaN,
 whenever 1 or 2 applies.
 
@@ -26,7 +27,7 @@ tanh and cosh are the math library's or those of :mod:`pbcgen.control.hyperbolic
 
 Scalar solve: s + mu tanh(s) = c
 --------------------------------
-For a constant mu in float: one evaluation of tanh, see :mod:`pbcgen.control.taylor`. Otherwise:
+For a constant mu in float t is a fitted function of c, see :mod:`pbcgen.control.fitted`. Otherwise:
 
 With r = abs(c) the root is right of s_0 = max(r/(1 + mu), r - mu), where s -> s + mu tanh(s) is concave and increasing:
 Newton's method ``s <- s - ((s - r) + mu t) / (1 + mu (1 - t t))``, t = tanh(s), increases monotonically to it. It makes
@@ -55,10 +56,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from pbcgen.control.fitted import fitted
 from pbcgen.control.hyperbolic import fast_cosh, fast_tanh
-from pbcgen.control.law import ControlLaw, Fallback, Precision, ScalarSolve, SetterInput, Taylor, VectorSolve
+from pbcgen.control.law import ControlLaw, Fallback, Fit, Precision, ScalarSolve, SetterInput, VectorSolve
 from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
-from pbcgen.control.taylor import start_at, taylor_step
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -142,7 +143,7 @@ class ReferenceStep:
         next_xi, u, converged, in_range = self._evaluate(m, xi)
         _raise_to(status, ~converged, StepStatus.NOT_CONVERGED)
         _raise_to(status, ~in_range, StepStatus.OUT_OF_RANGE)
-        invalid = ~np.all(np.isfinite(m), axis=1)
+        invalid = ~(_sum_of_squares(m) <= self._limit)
         _raise_to(status, invalid, StepStatus.INVALID_INPUT)
         keep = (invalid | ~in_range)[:, None]
         u = clamped(u, self.low, self.high)
@@ -160,7 +161,7 @@ class ReferenceStep:
             if isinstance(solve, ScalarSolve):
                 mu = N[:, solve.index, solve.index]
                 in_range &= mu >= 0
-                t[:, solve.index] = solve_scalar(mu, c[:, solve.index, 0], solve.iterations, self._tanh, solve.taylor)
+                t[:, solve.index] = solve_scalar(mu, c[:, solve.index, 0], solve.iterations, self._tanh, solve.fit)
             else:
                 rows = np.array(solve.indices)
                 t[:, rows], ok = solve_block(N[:, rows[:, None], rows], c[:, rows, 0], solve, self._tanh)
@@ -191,9 +192,9 @@ class ReferenceStep:
         """The state (nxi,) of a bumpless start, and the status, as ``<p>_start_at``."""
         assert self.law.start is not None
         m, state = np.asarray(measurement, self.dtype), np.array(xi, self.dtype)
-        if not np.all(np.isfinite(m)):
-            return state, StepStatus.INVALID_INPUT
         with np.errstate(all="ignore"):
+            if not _sum_of_squares(m[None, :])[0] <= self._limit:
+                return state, StepStatus.INVALID_INPUT
             (started,) = self._walk(self.law.start, 1, m[None, :], state[None, :])
             own = started[:, : len(self.law.states) - len(self.law.kept), 0]
             if not _sum_of_squares(own)[0] <= self._limit:
@@ -266,7 +267,7 @@ def channels_to_check(solve: ScalarSolve | VectorSolve) -> tuple[int, ...]:
     """The channels whose c must be checked before the solve: without a residual nothing carries NaN on."""
     if isinstance(solve, VectorSolve):
         return solve.indices
-    return () if solve.taylor or solve.iterations else (solve.index,)
+    return () if solve.fit or solve.iterations else (solve.index,)
 
 
 def tanh_of(law: ControlLaw) -> Callable[[Array], Array]:
@@ -275,20 +276,18 @@ def tanh_of(law: ControlLaw) -> Callable[[Array], Array]:
 
 
 def solve_scalar(
-    mu: Array, c: Array, iterations: int, tanh: Callable[[Array], Array] = np.tanh, taylor: Taylor | None = None
+    mu: Array, c: Array, iterations: int, tanh: Callable[[Array], Array] = np.tanh, fit: Fit | None = None
 ) -> Array:
     """tanh(s) of ``s + mu tanh(s) = c``, elementwise; mu >= 0. See the module's text."""
+    if fit is not None:
+        return fitted(fit, c)
     one = c.dtype.type(1)
     r = np.abs(c)
-    if taylor is not None:
-        s = start_at(taylor.start, r, mu)
-        t = taylor_step(tanh(s), s, r, mu, taylor.order)
-    else:
-        s = scalar_start(mu, r)
+    s = scalar_start(mu, r)
+    t = tanh(s)
+    for _ in range(iterations):
+        s = s - ((s - r) + mu * t) / (one + mu * (one - t * t))
         t = tanh(s)
-        for _ in range(iterations):
-            s = s - ((s - r) + mu * t) / (one + mu * (one - t * t))
-            t = tanh(s)
     result: Array = np.where(c < 0, -t, t)
     return result
 

@@ -12,11 +12,11 @@ from pbcgen.control.hyperbolic import COSH, DENOMINATOR, DOUBLINGS, FAST_ERROR, 
 from pbcgen.control.law import (
     ControlLaw,
     Fallback,
+    Fit,
     Precision,
     ScalarSolve,
     Setter,
     Signal,
-    Taylor,
     VectorSolve,
 )
 from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
@@ -30,6 +30,8 @@ from pbcgen.emit.program import (
     Body,
     Constants,
     FastTanh,
+    FittedFunction,
+    FittedPiece,
     InputMember,
     OutputMember,
     Program,
@@ -39,7 +41,6 @@ from pbcgen.emit.program import (
     SettingMember,
     StartFunction,
     StateMember,
-    TaylorFunction,
 )
 from pbcgen.emit.selftest import self_test
 from pbcgen.errors import EmitError
@@ -77,10 +78,10 @@ def program_of(law: ControlLaw, prefix: str, extras: Extras = Extras()) -> Progr
         outputs=members.outputs,
         states=members.states,
         state_checks=_state_checks(members),
-        read=tuple(text for vector in members.texts() for text in vector),
+        read=tuple(text for vector in reversed(members.texts()) for text in vector),
         fast_tanh=_fast_tanh(law.precision) if law.tanh == "fast" else None,
         library_ulp=f"{LIBM_ULP[law.precision]:g}",
-        taylor_functions=tuple(functions.taylor.values()),
+        fitted_functions=tuple(functions.fitted.values()),
         scalar_functions=tuple(functions.scalar.values()),
         block_functions=tuple(functions.block.values()),
         body=_body(law, prefix, members, functions),
@@ -92,16 +93,16 @@ def program_of(law: ControlLaw, prefix: str, extras: Extras = Extras()) -> Progr
 
 
 def _constant_mus(law: ControlLaw) -> dict[int, str]:
-    """The literal mu of every channel with a Taylor step. Raises ValueError if one is no constant."""
+    """The literal mu of every channel with a fit. Raises ValueError if one is no constant."""
     graph = Graph()
     arguments = [[graph.name("")] * size for size in law.prepare.input_sizes]
     N = law.prepare.walk(graph, arguments)[1].entries
     mus = {}
     for solve in law.solves:
-        if isinstance(solve, ScalarSolve) and solve.taylor:
+        if isinstance(solve, ScalarSolve) and solve.fit:
             node = N.get((solve.index, solve.index))
             if node is None or node.value is None:
-                raise ValueError(f"channel {solve.index} has a Taylor step, but its mu is no constant")
+                raise ValueError(f"channel {solve.index} has a fit, but its mu is no constant")
             mus[solve.index] = literal(nearest(node.value, law.precision))
     return mus
 
@@ -145,7 +146,6 @@ def constants_of(precision: Precision) -> Constants:
         one=real("1"),
         largest=literal(np.finfo(DTYPES[precision]).max),
         four=real("4"),
-        third=real("1/3"),
         state_limit=literal(nearest(STATE_LIMIT[precision], precision)),
         square_limit=literal(nearest(STATE_LIMIT[precision] ** 2, precision)),
         erfinv_small=real("0.05"),
@@ -229,7 +229,6 @@ def _fast_tanh(precision: Precision) -> FastTanh:
         f"{FAST_ULP[precision]:g}",
         f"{FAST_ERROR[precision]:g}",
         texts(COSH) if precision == "float" else (),
-        texts((0.5**DOUBLINGS,))[0] if precision == "float" else "",
         DOUBLINGS,
     )
 
@@ -248,22 +247,22 @@ def _renamed(members: _Members, setters: Sequence[SetterFunction]) -> tuple[tupl
 class _SolverFunctions:
     """The solver functions, each for the solves that can share it."""
 
-    taylor: Mapping[tuple[str, Taylor], TaylorFunction]
+    fitted: Mapping[tuple[str, Fit], FittedFunction]
     scalar: Mapping[int, ScalarFunction]
     block: Mapping[tuple[int, int, float], BlockFunction]
 
     @staticmethod
     def of(law: ControlLaw, prefix: str, mus: Mapping[int, str]) -> _SolverFunctions:
-        """``mus`` has the literal mu of every channel with a Taylor step."""
-        taylor: dict[tuple[str, Taylor], TaylorFunction] = {}
+        """``mus`` has the literal mu of every channel with a fit."""
+        fitted: dict[tuple[str, Fit], FittedFunction] = {}
         scalar: dict[int, ScalarFunction] = {}
         block: dict[tuple[int, int, float], BlockFunction] = {}
         bounds: dict[int, float] = {}
         for solve in law.solves:
-            if isinstance(solve, ScalarSolve) and solve.taylor:
-                key = (mus[solve.index], solve.taylor)
-                if key not in taylor:
-                    taylor[key] = _taylor_function(f"{prefix}_solve_{solve.index}", *key)
+            if isinstance(solve, ScalarSolve) and solve.fit:
+                key = (mus[solve.index], solve.fit)
+                if key not in fitted:
+                    fitted[key] = _fitted_function(f"{prefix}_solve_{solve.index}", *key)
             elif isinstance(solve, ScalarSolve):
                 bounds[solve.iterations] = max(bounds.get(solve.iterations, 0.0), solve.error_bound)
             elif _key(solve) not in block:
@@ -274,23 +273,25 @@ class _SolverFunctions:
         for iterations, bound in sorted(bounds.items()):
             name = f"{prefix}_solve" if len(bounds) == 1 else f"{prefix}_solve_in_{iterations}"
             scalar[iterations] = ScalarFunction(name, iterations, f"{bound:.2g}")
-        return _SolverFunctions(taylor, scalar, block)
+        return _SolverFunctions(fitted, scalar, block)
 
 
-def _taylor_function(name: str, mu: str, taylor: Taylor) -> TaylorFunction:
-    def texts(values: Sequence[float]) -> tuple[str, ...]:
-        return tuple(literal(np.float32(value)) for value in values)
+def _fitted_function(name: str, mu: str, fit: Fit) -> FittedFunction:
+    def text(value: float) -> str:
+        return literal(np.float32(value))
 
-    start = taylor.start
-    return TaylorFunction(
-        name,
-        mu,
-        texts(start.low[::-1]),
-        texts(start.middle[::-1]),
-        texts(start.knots),
-        taylor.order,
-        f"{taylor.error_bound:.2g}",
+    pieces = tuple(
+        FittedPiece(
+            text(piece.knot),
+            text(piece.length),
+            tuple(map(text, reversed(piece.numerator))),
+            tuple(map(text, reversed(piece.denominator))),
+        )
+        for piece in fit.pieces
     )
+    origin = pieces[0].length if pieces and fit.pieces[0].length else ""
+    correction = tuple(map(text, reversed(fit.correction)))
+    return FittedFunction(name, mu, correction, pieces, origin, f"{fit.error_bound:.2g}")
 
 
 def _key(solve: VectorSolve) -> tuple[int, int, float]:
@@ -316,15 +317,21 @@ def _body(law: ControlLaw, prefix: str, members: _Members, functions: _SolverFun
         scalars=scalars,
         blocks=blocks,
         update=_named_stage(printer, update_roots),
-        results=tuple(update_roots),
+        results=tuple(name for name, root in update_roots.items() if not _is_limited(root)),
         helpers=printer.helpers | _tanh_functions(law),
     )
 
 
+def _is_limited(node: Node) -> bool:
+    """Whether a value is cut to an interval that is small beside the limit of the state, so that no check can fail."""
+    bound = node.operands[1].value if node.operation == "limit" else None
+    return bound is not None and bound <= 2**32
+
+
 def _tanh_functions(law: ControlLaw) -> set[str]:
-    """Which of the two tanh functions the solves call."""
-    taylor = [isinstance(solve, ScalarSolve) and solve.taylor is not None for solve in law.solves]
-    return ({"tanh_of_magnitude"} if any(taylor) else set()) | (set() if all(taylor) else {"tanh"})
+    """``tanh``, if a solve calls it."""
+    fits = [solve.fit if isinstance(solve, ScalarSolve) else None for solve in law.solves]
+    return set() if all(fit and fit.pieces for fit in fits) else {"tanh"}
 
 
 def _update_roots(law: ControlLaw, graph: Graph, members: _Members, t_names: Sequence[str]) -> dict[str, Node]:
@@ -464,8 +471,8 @@ def _calls(
     for solve in law.solves:
         if isinstance(solve, ScalarSolve):
             i = solve.index
-            if solve.taylor:
-                name, arguments = functions.taylor[coefficients[i, i], solve.taylor].name, (f"c{i}",)
+            if solve.fit:
+                name, arguments = functions.fitted[coefficients[i, i], solve.fit].name, (f"c{i}",)
             else:
                 name, arguments = functions.scalar[solve.iterations].name, (coefficients[i, i], f"c{i}")
             scalars.append(ScalarCall(t_names[i], name, arguments))

@@ -22,7 +22,6 @@ class Constants:
     half: str
     one: str
     four: str
-    third: str
     largest: str
     state_limit: str
     square_limit: str
@@ -85,15 +84,28 @@ class ScalarFunction:
 
 
 @dataclass(frozen=True)
-class TaylorFunction:
-    """The C function of scalar solves for one mu: a start and one Taylor step. Coefficients from the highest down."""
+class FittedPiece:
+    """One piece of a fitted function: where it begins, how long it is, its coefficients from the highest down."""
+
+    knot: str
+    length: str
+    numerator: tuple[str, ...]
+    denominator: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class FittedFunction:
+    """The C function of scalar solves for one mu, by a fit; see :mod:`pbcgen.control.fitted`.
+
+    ``correction`` has coefficients from the highest down, or there are pieces; ``origin`` is what c^2 is subtracted
+    from in the first piece, empty for nothing.
+    """
 
     name: str
     mu: str
-    low: tuple[str, ...]
-    middle: tuple[str, ...]
-    knots: tuple[str, ...]
-    order: int
+    correction: tuple[str, ...]
+    pieces: tuple[FittedPiece, ...]
+    origin: str
     error_bound: str
 
 
@@ -101,7 +113,7 @@ class TaylorFunction:
 class FastTanh:
     """Coefficients of the rational tanh from the highest down, without the constants; its error.
 
-    ``cosh`` has those of cosh(z) - 1, ``shrink`` is z/x; both are empty where cosh comes from the math library.
+    ``cosh`` has those of 2 (cosh(z) - 1) in x = z 2^doublings; it is empty where cosh comes from the math library.
     """
 
     numerator: tuple[str, ...]
@@ -109,7 +121,6 @@ class FastTanh:
     ulp: str
     error: str
     cosh: tuple[str, ...]
-    shrink: str
     doublings: int
 
 
@@ -225,7 +236,7 @@ class Program:
     read: tuple[str, ...]
     fast_tanh: FastTanh | None
     library_ulp: str
-    taylor_functions: tuple[TaylorFunction, ...]
+    fitted_functions: tuple[FittedFunction, ...]
     scalar_functions: tuple[ScalarFunction, ...]
     block_functions: tuple[BlockFunction, ...]
     body: Body
@@ -253,4 +264,5 @@ class Program:
     def helpers(self) -> frozenset[str]:
         """Functions of the package that the printed code calls."""
         start = self.start.helpers if self.start else frozenset()
-        return self.body.helpers.union(start, *(setter.helpers for setter in self.setters))
+        own = self.body.helpers.union(start, *(setter.helpers for setter in self.setters))
+        return own | {"cut_ratio"} if self.fast_tanh and ("tanh" in own or self.fitted_functions) else own

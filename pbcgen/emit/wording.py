@@ -8,6 +8,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
 from pbcgen.control.law import ControlLaw, Fallback, Precision, Signal
+from pbcgen.control.rounding import STATE_LIMIT
 from pbcgen.control.step import StepStatus
 from pbcgen.emit.identifiers import spell
 from pbcgen.proof.claim import CLAIMS
@@ -43,7 +44,7 @@ _STATUS_MEANINGS: Final[dict[StepStatus, str]] = {
     StepStatus.NOT_CONVERGED: "the loop equation missed its tolerance; state and outputs were updated all the same",
     StepStatus.STATE_RESET: "the state was not finite or beyond its limit; it was set to its initial value first",
     StepStatus.OUT_OF_RANGE: "the computation overflowed; the state was kept, the outputs are {fallback}",
-    StepStatus.INVALID_INPUT: "a measurement is NaN or infinite; the state was kept, the outputs are {fallback}",
+    StepStatus.INVALID_INPUT: "a measurement is NaN or beyond {limit}; the state was kept, the outputs are {fallback}",
     StepStatus.INVALID_ARGUMENT: "a pointer is null; nothing was read, the outputs are {equilibrium}",
     StepStatus.INVALID_SETTING: "a target or gain is outside its range or NaN; nothing was changed (by setters only)",
 }
@@ -63,7 +64,8 @@ EQUILIBRIUM_TEXT: Final = "the equilibrium input"
 
 def status_meaning(status: StepStatus, law: ControlLaw) -> str:
     """What ``status`` says of a step of ``law``; with a remark where this law never reports it."""
-    meaning = _STATUS_MEANINGS[status].format(fallback=fallback_text(law), equilibrium=EQUILIBRIUM_TEXT)
+    limit = f"{float(STATE_LIMIT[law.precision]):.2g}"
+    meaning = _STATUS_MEANINGS[status].format(fallback=fallback_text(law), equilibrium=EQUILIBRIUM_TEXT, limit=limit)
     blocks = any(hasattr(solve, "indices") for solve in law.solves)
     keeps = bool(law.states) or law.fallback is Fallback.LAST_OUTPUT
     never = (status is StepStatus.NOT_CONVERGED and not blocks) or (status is StepStatus.STATE_RESET and not keeps)
@@ -104,15 +106,6 @@ def value(literal: str) -> str:
     return literal.removesuffix("f")
 
 
-def horner(coefficients: Sequence[str], variable: str, one: str) -> str:
-    """The polynomial with these coefficients, from the highest down to that of the variable, and the constant one.
-
-    >>> horner(("0.5f", "-2.0f"), "y", "1.0f")
-    '(0.5f * y - 2.0f) * y + 1.0f'
-    """
-    return horner_in((*coefficients, one), variable, outer=True)
-
-
 def horner_in(coefficients: Sequence[str], variable: str, *, outer: bool = False) -> str:
     """The polynomial with these coefficients, from the highest down; as a factor unless ``outer``.
 
@@ -127,26 +120,22 @@ def horner_in(coefficients: Sequence[str], variable: str, *, outer: bool = False
     return text if outer or len(coefficients) == 1 else f"({text})"
 
 
+def horner_of(array: str, first: int, count: int, variable: str, *last: str) -> str:
+    """The polynomial whose coefficients, from the highest down, are entries of an array, and ``last`` behind them.
+
+    >>> horner_of("k", 0, 3, "y"), horner_of("k", 3, 1, "y", "1.0f")
+    ('(k[0] * y + k[1]) * y + k[2]', 'k[3] * y + 1.0f')
+    """
+    return horner_in((*(f"{array}[{k}]" for k in range(first, first + count)), *last), variable, outer=True)
+
+
 def sum_of_squares(values: Sequence[str], indent: str) -> str:
     """``((a * a) + (b * b))``, broken into lines of four terms.
 
     >>> sum_of_squares(("a", "b"), "")
     '((a * a) + (b * b))'
     """
-    return _sum([f"({v} * {v})" for v in values], indent)
-
-
-def sum_of_differences(values: Sequence[str], indent: str) -> str:
-    """``((a - a) + (b - b))``: zero if all values are finite, NaN otherwise.
-
-    >>> sum_of_differences(("a",), "")
-    '((a - a))'
-    """
-    return _sum([f"({v} - {v})" for v in values], indent)
-
-
-def _sum(terms: Sequence[str], indent: str) -> str:
-    """The terms with plus signs in parentheses, four on a line."""
+    terms = [f"({v} * {v})" for v in values]
     lines = [" + ".join(terms[k : k + 4]) for k in range(0, len(terms), 4)]
     return "(" + f"\n{indent}+ ".join(lines) + ")"
 

@@ -113,7 +113,7 @@ class Allowance:
         for solve in self._law.solves:
             if isinstance(solve, ScalarSolve):
                 k = solve.index
-                t[:, k] = solve_scalar(N[:, k, k], c[:, k], solve.iterations, tanh, solve.taylor)
+                t[:, k] = solve_scalar(N[:, k, k], c[:, k], solve.iterations, tanh, solve.fit)
             else:
                 rows = np.array(solve.indices)
                 t[:, rows] = solve_block(N[:, rows[:, None], rows], c[:, rows], solve, tanh)[0]

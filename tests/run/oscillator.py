@@ -113,7 +113,7 @@ osc_status_t osc_step(osc_state_t *state, const osc_input_t *input, osc_output_t
         status = OSC_STATE_RESET;
     }}
     output->force = {literal(0.0)};
-    if (!isfinite(input->position)) return OSC_INVALID_INPUT;
+    if (!(fabs{suffix}(input->position) <= limit)) return OSC_INVALID_INPUT;
     c = {literal(beta)} * (input->position + shrink * state->x_c);
     if (!isfinite(c)) return OSC_OUT_OF_RANGE;
     r = fabs{suffix}(c);
