@@ -3,8 +3,9 @@
 **tanh.** The rational function is ``x P(x^2) / Q(x^2)`` with P and Q of degree 4 (float) or 9 (double), positive
 coefficients and P(0) = Q(0) = 1, and its magnitude is cut at 1. Three properties follow from the form, for any
 rounding: it is odd, its magnitude is at most 1, and a tiny x is returned unchanged. Beyond the interval of the fit the
-quotient grows, so that the cut alone makes it 1 there; where x^2 or P overflow the quotient is NaN, which the cut turns
-into 1 as well. P and Q are sums of positive terms, so that nothing cancels.
+quotient grows, so that the cut alone makes it 1 there; where x^2 or P overflow the quotient is NaN, which the cut, the
+quotient of x and its magnitude, turns into 1 as well. NaN and the infinities give NaN, so that what follows can see
+them. P and Q are sums of positive terms, so that nothing cancels.
 
 The result is not monotone: between neighbouring floats it drops by at most 5.4e-7.
 
