@@ -25,7 +25,7 @@ from pbcgen.models.expressions import (
     symbols,
     unique,
 )
-from pbcgen.models.numbers import named_numbers
+from pbcgen.models.numbers import is_long, named_numbers
 from pbcgen.models.parameters import Parameters
 from pbcgen.models.source import Call, users_call
 
@@ -126,6 +126,7 @@ class AffineSystem:
         units: units by name of state, input or measured signal.
         name: how reports call the system.
         structure: what a front end knows about f and grad S.
+        long_numbers: numbers in the expressions that look like results of a rounded computation.
         call: where the user made it, if in a file.
     """
 
@@ -142,6 +143,7 @@ class AffineSystem:
     units: Mapping[str, str]
     name: str
     structure: Structure | None
+    long_numbers: tuple[float, ...]
     call: Call | None
 
     def __init__(
@@ -201,7 +203,9 @@ class AffineSystem:
         taken = [*names(x), *names(u), *extra]
         unique([*taken, *parameters.names])
         own = [*functions][0 if structure is None else 3 :]  # a front end has named the numbers of f, g and S
+        declared = parameters
         named, parameters = named_numbers([functions[what] for what in own], "c", parameters, taken)
+        added = [value for name, value in parameters.values.items() if name not in declared]
         functions |= zip(own, named, strict=True)
         drift, matrix, storage = [*functions.values()][:3]
         known_gamma, known_eta = functions.get("gamma"), functions.get("eta")
@@ -225,6 +229,7 @@ class AffineSystem:
             "units": MappingProxyType(_units(units or {}, taken)),
             "name": name,
             "structure": structure,
+            "long_numbers": tuple(float(v) for v in added if structure is None and is_long(v)),
             "call": users_call(),
         }
         for key, value in fields.items():

@@ -17,10 +17,13 @@ from pbcgen.models.parameters import Parameters
 #: Numbers with numerator and denominator of so many bits may be multiplied a few times in doubles without rounding.
 _SHORT_BITS = 12
 
-#: A number is read as a decimal of so many digits, or as a fraction with such a denominator, if that is only a few
-#: roundings away: Python makes 2.0999999999999996 of ``0.7 * 3`` and 0.6666666666666666 of ``2 / 3``. One double in
-#: 10000 or fewer has such a neighbour by chance.
-_DIGITS, _LARGEST_DENOMINATOR, _ROUNDINGS = 10, 1000, 4
+#: A number is read as a decimal of so many digits, or as a fraction whose numerator times denominator is at most this,
+#: if that is only a few roundings away: Python makes 2.0999999999999996 of ``0.7 * 3`` and 0.6666666666666666 of
+#: ``2 / 3``. One double in 10000 or fewer has such a neighbour by chance.
+_DIGITS, _LARGEST_FRACTION, _ROUNDINGS = 10, 10**10, 4
+
+#: A number of so many digits or more looks like the result of a computation in doubles.
+_LONG = 15
 
 #: Below it a double has fewer digits.
 _SMALLEST = 2.3e-308
@@ -32,7 +35,8 @@ def as_written(number: float) -> Fraction:
     if abs(number) < _SMALLEST:
         return shortest
     near = _ROUNDINGS * Fraction(math.ulp(number))
-    simpler = Fraction(f"{number:.{_DIGITS}g}"), shortest.limit_denominator(_LARGEST_DENOMINATOR)
+    most = 1 + math.isqrt(int(_LARGEST_FRACTION / abs(shortest)))
+    simpler = Fraction(f"{number:.{_DIGITS}g}"), shortest.limit_denominator(most)
     return next((value for value in simpler if value and abs(value - shortest) <= near), shortest)
 
 
@@ -78,6 +82,11 @@ def named_numbers(
             )  # no exponent is a factor
             work[place] = ca.SX.binary(operation, numbers.operand(operands[0]), second)
     return (results, numbers.parameters) if numbers.changed else (list(values), parameters)
+
+
+def is_long(value: Fraction) -> bool:
+    """Whether a number has as many digits as a double: it may be the result of a rounded computation."""
+    return value == Fraction(repr(float(value))) != Fraction(f"{float(value):.{_LONG - 1}g}")
 
 
 def named(value: ca.SX, label: str, parameters: Parameters, taken: Collection[str] = ()) -> tuple[ca.SX, Parameters]:

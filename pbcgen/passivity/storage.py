@@ -23,12 +23,14 @@ from pbcgen.proof.nonnegative import Prover, nonnegative
 from pbcgen.proof.refute import Search
 from pbcgen.proof.sos import squares_tried, sum_of_squares
 from pbcgen.symbolic.field import Quotient
-from pbcgen.symbolic.real import rational, text
+from pbcgen.symbolic.real import approximate, rational, text
 
 #: Boxes of the branch and bound over everything that is tried.
 _BOXES = 12_000
 #: Longer powers are not taken to semidefinite programming and branching.
 _MOST_TERMS = 400
+#: The part of ``|grad S| |f|`` that rounded numbers can make of zero.
+_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,8 @@ def assumption_1(plant: Plant) -> Storage:
     stated = Region.stated(plant)
     counterexample = search(plant, stated, -_rate(plant), _scale(plant))
     if counterexample.point is not None:
-        return Storage(_refuted(plant, stated, counterexample), structure)
+        refuted = _refuted(plant, stated, counterexample)
+        return Storage(_rounded(plant, refuted) if _is_rounding(plant, counterexample) else refuted, structure)
     for region in dict.fromkeys((whole, stated)):
         for claim in _attempts(plant, region, structure, power):
             storage = Storage(claim, structure, region=None if region.is_whole else region)
@@ -213,6 +216,31 @@ def _refuted(plant: Plant, region: Region, search: Search) -> Claim:
     )
 
 
+def _is_rounding(plant: Plant, search: Search) -> bool:
+    """Whether the storage grows by no more than the rounded numbers in the model can make of zero."""
+    if not plant.system.long_numbers or search.point is None or search.value is None:
+        return False
+    size = float(plant.numeric(_scale(plant))([float(v) for v in search.point], [0.0] * plant.system.m))
+    return abs(approximate(search.value)) <= _ROUNDING * size
+
+
+def _rounded(plant: Plant, refuted: Claim) -> Claim:
+    """The verdict where only rounding may let the storage grow."""
+    return replace(
+        refuted,
+        status=Status.UNDECIDED,
+        evidence=f"{refuted.evidence}; that is within the rounding of the numbers in the model",
+        hint=_declare(plant),
+        counterexample=None,
+    )
+
+
+def _declare(plant: Plant) -> str:
+    """What to do about numbers that look like results of a computation."""
+    shown = repr(plant.system.long_numbers[0])
+    return f"declare the constants of the model with Parameters(...): the number {shown} in it looks rounded"
+
+
 def _mend(plant: Plant, point: Mapping[str, Fraction]) -> str:
     """What to look at when the storage grows at a point: the friction that is negative there, if there is one."""
     mechanics = plant.system.mechanical
@@ -229,6 +257,8 @@ def _open(plant: Plant, region: Region, search: Search, proof: StructureProof | 
     hint = smooth_forms(plant) or (
         "write S and f so that f = F grad S with sym F <= 0, or check the signs of the dissipation"
     )
+    if plant.system.long_numbers:
+        hint = f"{_declare(plant)}; else {hint}"
     if region.is_whole:
         hint += "; a bounded domain would allow branch and bound"
     return Claim(
