@@ -115,8 +115,8 @@ def unique(all_names: Iterable[str]) -> None:
     """Raise ModelError if a name of a state, input, measurement or parameter is used twice or cannot be written."""
     seen: set[str] = set()
     for name in all_names:
-        if not (name.isidentifier() and name.isascii()):
-            raise ModelError(f"the name `{name}` cannot be used in code: use letters, digits and underscores")
+        if not name.isidentifier():
+            raise ModelError(f"the name `{name}` is no identifier: use letters, digits and underscores")
         if name in seen:
             raise ModelError(f"the name `{name}` is used twice: states, inputs and parameters need different names")
         seen.add(name)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.definite import RealMatrix, as_balls
 from pbcgen.proof.newton import float_newton, krawczyk, polish
-from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, ball, is_finite, midpoint, precision, rational, reals
+from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, ball, enclose, is_finite, midpoint, precision, rational, reals
 from pbcgen.symbolic.tape import Tape
 
 #: More unknowns than these are not solved for together.
@@ -36,6 +36,10 @@ _PATH: Final = 8
 #: Newton steps at most, and what they may leave, relative to the largest value in the box.
 _STEPS: Final = 8
 _LEFT: Final = 2.0**-48
+
+#: Cells that the proof of the steps may take, and steps that are added to shorten it.
+_CELLS: Final = 400
+_MORE: Final = 3
 
 Array = NDArray[np.float64]
 
@@ -88,36 +92,71 @@ class Branch:
         return z
 
     def enclose(self, values: Sequence[Real]) -> Enclosed | None:
-        """z over a ball of targets, if there is one solution near the polynomial and the steps reach it."""
+        """z over a ball of targets of the box, or None where that is not proved to be one solution.
+
+        It is the solution that the steps reach: at the middle of the ball they do, and beside it both are continuous.
+        """
         with precision(BITS):
             try:
-                return self._enclose(values)
+                middle: list[Real] = [rational(midpoint(v)) for v in values]
+                here, over = self._solution(middle, middle), self._solution(values, middle)
+                if here is None or over is None or not self._reached(middle, middle, here):
+                    return None
+                return over
             except (ValueError, ZeroDivisionError, np.linalg.LinAlgError):
                 return None
 
-    def _enclose(self, values: Sequence[Real]) -> Enclosed | None:
-        middle: list[Real] = [rational(midpoint(v)) for v in values]
-        start, turn = self._starts.walk(REAL, [middle])  # type: ignore[attr-defined]
+    def holds(self, box: Sequence[tuple[Fraction, Fraction]]) -> bool:
+        """Whether the steps reach the solution for every target of a box: on cells, halved where they do not.
+
+        Neighbours share the solution at their border: there the steps end so near to both that these are one.
+        """
+        waiting = [tuple(box)]
+        with precision(BITS):
+            for _ in range(_CELLS):
+                if not waiting:
+                    return True
+                cell = waiting.pop()
+                if not self._passes(cell):
+                    waiting += _halves(cell, box)
+        return False
+
+    def _passes(self, cell: Sequence[tuple[Fraction, Fraction]]) -> bool:
+        middle: list[Real] = [rational((lo + hi) / 2) for lo, hi in cell]
+        values: list[Real] = [enclose(lo, hi) for lo, hi in cell]
+        try:
+            over = self._solution(values, middle)
+            return over is not None and self._reached(values, middle, over)
+        except (ValueError, ZeroDivisionError, np.linalg.LinAlgError):
+            return False
+
+    def _solution(self, values: Sequence[Real], middle: Sequence[Real]) -> Enclosed | None:
+        """Krawczyk's test for all targets at once, around the solution in the middle that the polynomial is near."""
+        (start, _) = self._starts.walk(REAL, [list(middle)])  # type: ignore[attr-defined]
         first = np.array([float(ball(row[0]).mid()) for row in start.dense(ZERO)])
-        numbers = np.array([float(midpoint(v)) for v in values])
+        numbers = np.array([float(midpoint(v)) for v in middle])
         found = float_newton(lambda z: self._system(numbers, z), first)  # type: ignore[attr-defined]
         centre = None if found is None else polish(lambda z: self._values(middle, z)[:2], list(found))
-        if centre is None:
-            return None
-        here = krawczyk(lambda z: self._values(middle, z)[:2], centre, Fraction(1, 10**40))
-        over = self._over(values, centre)
-        if here is None or over is None:
+        over = None if centre is None else self._over(values, centre)
+        if over is None:
             return None
         _, F_z, F_p, _ = self._values(values, list(over))
-        rates = -(as_balls(F_z).inv() * as_balls(F_p))
-        _, turn = self._starts.walk(REAL, [list(values)])  # type: ignore[attr-defined]
-        apart = as_balls(turn.dense(ZERO)) - rates
+        return Enclosed(tuple(over), (-(as_balls(F_z).inv() * as_balls(F_p))).tolist())
+
+    def _reached(self, values: Sequence[Real], middle: Sequence[Real], over: Enclosed) -> bool:
+        """Whether the steps come to the solution from where the polynomial is, for all targets of a ball."""
+        here = self._solution(middle, middle)
+        if here is None:
+            return False
+        (start, _), (_, turn) = (self._starts.walk(REAL, [list(p)]) for p in (middle, values))  # type: ignore[attr-defined]
+        apart = as_balls(turn.dense(ZERO)) - as_balls(over.rates)
         widths = [abs(ball(v) - ball(m)).upper() for v, m in zip(values, middle, strict=True)]
+        floor = [4 * arb(_LEFT) * arb(scale) for scale in self.scale]  # a neighbour's solution is nearer than this
         error = [
-            (abs(ball(s[0]) - z) + sum((abs(apart[i, k]) * w for k, w in enumerate(widths)), arb(0))).abs_upper()
-            for i, (s, z) in enumerate(zip(start.dense(ZERO), here, strict=True))
+            (abs(ball(s[0]) - z) + sum((abs(apart[i, k]) * w for k, w in enumerate(widths)), floor[i])).abs_upper()
+            for i, (s, z) in enumerate(zip(start.dense(ZERO), here.z, strict=True))
         ]
-        return Enclosed(tuple(over), rates.tolist()) if self._reached(values, over, error) else None
+        return self._steps_reach(values, over.z, error)
 
     def _values(self, p: Sequence[Real], z: Sequence[Real]) -> tuple[list[Real], RealMatrix, RealMatrix, RealMatrix]:
         """F, F_z, F_p and the rows of F_zz."""
@@ -126,7 +165,7 @@ class Branch:
         return [row[0] for row in F.dense(ZERO)], F_z.dense(ZERO), F_p.dense(ZERO), F_zz.dense(ZERO)
 
     def _over(self, values: Sequence[Real], centre: Sequence[Fraction]) -> list[arb] | None:
-        """Krawczyk's test for all targets at once, in a box as wide as the solution moves."""
+        """Balls of the solution over all targets, as wide as it moves."""
         at: list[Real] = [rational(c) for c in centre]
         F, F_z, _, _ = self._values(values, at)
         moved = as_balls(F_z).inv() * as_balls([[v] for v in F])
@@ -140,10 +179,10 @@ class Branch:
                 return found
         return None
 
-    def _reached(self, values: Sequence[Real], over: Sequence[arb], error: Sequence[arb]) -> bool:
+    def _steps_reach(self, values: Sequence[Real], over: Sequence[Real], error: Sequence[arb]) -> bool:
         """Whether the steps from everywhere within ``error`` of the solution come to it."""
         k = range(len(over))
-        near: list[Real] = [z + arb(0, e) for z, e in zip(over, error, strict=True)]
+        near: list[Real] = [ball(z) + arb(0, e) for z, e in zip(over, error, strict=True)]
         _, F_z, _, F_zz = self._values(values, near)
         if not all(is_finite(v) for row in (*F_z, *F_zz) for v in row):
             return False
@@ -192,7 +231,22 @@ def find_branch(
     scaled = [(s - float(a + b) / 2) * float(2 / (b - a)) for s, (a, b) in zip(ca.vertsplit(p), box, strict=True)]
     start = [_polynomial(dict(zip(exponents, column, strict=True)), scaled) for column in fitted.T]
     scale = tuple(float(v) for v in np.abs(values).max(axis=0))
-    return Branch(plant, p, z, equations, ca.vertcat(*start), steps, degree, scale)
+    for more in range(_MORE):
+        branch = Branch(plant, p, z, equations, ca.vertcat(*start), steps + more, degree, scale)
+        if branch.holds(box):
+            return branch
+    return f"that {steps + _MORE - 1} Newton steps reach its solution everywhere in the box was not proved"
+
+
+def _halves(
+    cell: Sequence[tuple[Fraction, Fraction]], box: Sequence[tuple[Fraction, Fraction]]
+) -> list[tuple[tuple[Fraction, Fraction], ...]]:
+    """The cell cut across its longest side, measured by the box."""
+    shares = [(hi - lo) / (b - a) for (lo, hi), (a, b) in zip(cell, box, strict=True)]
+    k = shares.index(max(shares))
+    lo, hi = cell[k]
+    middle = (lo + hi) / 2
+    return [(*cell[:k], part, *cell[k + 1 :]) for part in ((lo, middle), (middle, hi))]
 
 
 def _float_system(plant: Plant, p: ca.SX, z: ca.SX, equations: ca.SX) -> _FloatSystem:

@@ -82,7 +82,7 @@ Y = ca.SX.sym("y")
         (lambda s: {"x": [ca.SX.sym("x"), ca.SX.sym("x")], "f": [0, 0], "S": 0}, "name `x` is used twice"),
         (lambda s: {"u": [ca.SX.sym("x")]}, "name `x` is used twice"),
         (lambda s: {"u": [ca.SX.sym("k")]}, "name `k` is used twice"),
-        (lambda s: {"u": [ca.SX.sym("a b")]}, "name `a b` cannot be used in code"),
+        (lambda s: {"u": [ca.SX.sym("a b")]}, "name `a b` is no identifier"),
         (lambda s: {"u": []}, "input u is empty"),
         (lambda s: {"u": ca.SX.sym("u", 3)}, "3 inputs and only 2 states"),
         (lambda s: {"measured": ["w"]}, "signal `w` is not a state: known are `x`, `v`"),

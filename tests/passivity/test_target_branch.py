@@ -69,6 +69,12 @@ def test_a_cell_that_is_too_wide_is_refused() -> None:
         assert cubic().enclose([enclose(Fraction(-1), Fraction(3))]) is None
 
 
+def test_the_steps_are_proved_on_the_whole_box_and_not_beyond_a_turning_point() -> None:
+    assert cubic().holds([(Fraction(-1), Fraction(3))])
+    bent = replace(cubic(), equations=Z**3 - Z - P)
+    assert not bent.holds([(Fraction(-1), Fraction(1))])
+
+
 def test_steps_that_do_not_reach_the_solution_are_refused() -> None:
     branch, at = cubic(), [rational(Fraction(-9, 10))]
     assert branch.enclose(at) is not None
