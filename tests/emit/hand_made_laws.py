@@ -1,12 +1,14 @@
-"""Small control laws, built by hand, that between them use every feature of the emitter."""
+"""Small control laws that between them use every feature of the emitter: built by hand, the last one derived."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from functools import cache
 
 import casadi as ca
 
+from pbcgen import AffineSystem, Design, DynamicExtension, Limits, pipeline
 from pbcgen.control.law import (
     ControlLaw,
     Fallback,
@@ -198,3 +200,28 @@ def adjustable(precision: Precision = "float") -> ControlLaw:
         rest=(3.044522437723423,),
         start=Tape.of([m, xi], [ca.vertcat(1.1 * (star - m), star, alpha)]),
     )
+
+
+@cache
+def steered(precision: Precision = "float") -> ControlLaw:
+    """A derived law with everything that may change: a target without formula, gains in diagonal matrices."""
+    x1, x2, u = (ca.SX.sym(n) for n in ("class", "θ", "IN"))
+    energy = x2**2 / 2 + x1**4 / 4 + x1**2 / 2
+    system = AffineSystem(
+        x=[x1, x2], u=[u], f=[x2, -(x1**3) - x1 - 2 * x2], g=[0, 1], S=energy, measured=["class", "θ"], gamma=[x1]
+    )
+    design = Design(
+        system,
+        law=DynamicExtension(alpha=2, beta=2, K_c=1, R_c=1),
+        limits=Limits.symmetric(5),
+        sample_period="1e-3",
+        target={"force": (x1**3 + x1, "0.625")},
+        target_box={"force": ("0.5", "0.8")},
+        gain_ranges={"alpha": ("1.8", "2.2"), "K_c": ("0.8", "1.3"), "R_c": ("0.9", "1.1")},
+        precision=precision,
+        name="steered",
+    )
+    report = pipeline.check(design)
+    assert report.emittable
+    assert report.control is not None
+    return report.control

@@ -23,6 +23,7 @@ MAKERS = {
     "block": lambda: laws.block("float"),
     "stateless": laws.stateless,
     "adjustable": laws.adjustable,
+    "steered": laws.steered,
 }
 
 DRIVER = """

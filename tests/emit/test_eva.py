@@ -32,6 +32,7 @@ PACKAGES = {
     "fast_newton": lambda: with_tanh(laws.two_channels("float"), "fast"),
     "stateless": laws.stateless,
     "adjustable": laws.adjustable,
+    "steered": laws.steered,
 }
 
 

@@ -41,6 +41,7 @@ PACKAGES = {
     "holding": lambda: laws.two_channels("double", Fallback.LAST_OUTPUT),
     "block": lambda: laws.block("float"),
     "adjustable": laws.adjustable,
+    "steered": laws.steered,
 }
 
 

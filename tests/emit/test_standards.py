@@ -16,7 +16,7 @@ from pbcgen.emit import render
 if TYPE_CHECKING:
     from pathlib import Path
 
-LAWS = (laws.two_channels, laws.block, laws.mixed, laws.stateless, laws.adjustable)
+LAWS = (laws.two_channels, laws.block, laws.mixed, laws.stateless, laws.adjustable, laws.steered)
 
 
 @pytest.fixture(scope="module", params=["float", "double"])
