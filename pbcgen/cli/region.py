@@ -50,6 +50,7 @@ def run(model: str, *, boxes: int = 20_000, json: bool = False) -> Outcome:
 
             tell("ellipsoid of the linearised loop")
             ellipsoid = certified_region(report.derivation)
+    starts = report.loop is not None and found.contains(list(report.loop.initial), at_zero=True)
     document = {
         "design": report.design.name,
         "region_of_attraction": found.as_json(),
@@ -57,13 +58,13 @@ def run(model: str, *, boxes: int = 20_000, json: bool = False) -> Outcome:
     }
     proved = found.status is Status.PROVED or ellipsoid is not None
     return Outcome(
-        show=lambda console: _show(console, str(report.design.name), found, ellipsoid),
+        show=lambda console: _show(console, str(report.design.name), found, ellipsoid, starts),
         document=document if json else None,
         exit_code=0 if proved else NotProved.exit_code,
     )
 
 
-def _show(console: Console, name: str, found: Region, ellipsoid: Ellipsoid | None) -> None:
+def _show(console: Console, name: str, found: Region, ellipsoid: Ellipsoid | None, starts: bool) -> None:
     if ellipsoid is not None:
         console.print(f"{name}: region of attraction PROVED")
         console.print(ellipsoid.sentence, highlight=False)
@@ -77,5 +78,8 @@ def _show(console: Console, name: str, found: Region, ellipsoid: Ellipsoid | Non
             console.print(f"  {state} in [{lo:.6g}, {hi:.6g}]", highlight=False)
         console.print()
         console.print(
-            "Every state of this box whose height V - V(x*) is within the level settles at x*.", highlight=False
+            "Every state of this box whose height V - V(x*), the filters counted, is within the level settles at x*.",
+            highlight=False,
         )
+        where = "inside" if starts else "not inside; it may settle all the same"
+        console.print(f"The initial state of the design, with the filters at zero, is {where}.", highlight=False)

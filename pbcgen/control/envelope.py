@@ -183,6 +183,9 @@ class Envelope:
         """e(s) in double precision."""
         z = self._solve(np.array(s, dtype=float))
         f = self._alpha * np.tanh(self._beta * z)
+        return self.spring(z) + float(f @ self._compliance @ f / 2)
+
+    def spring(self, z: NDArray[np.float64]) -> float:
+        """Phi(z) in double precision."""
         size = np.abs(self._beta * z)
-        energy = self._alpha / self._beta * (size + np.log1p(np.exp(-2 * size)) - np.log(2))
-        return float(np.sum(energy) + f @ self._compliance @ f / 2)
+        return float(np.sum(self._alpha / self._beta * (size + np.log1p(np.exp(-2 * size)) - np.log(2))))

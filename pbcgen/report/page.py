@@ -178,7 +178,9 @@ def _context(
         "comparison": [] if before is None else compare(before, report),
         "before": before,
         "region": region,
-        "starts_inside": region is not None and report.loop is not None and region.contains(list(report.loop.initial)),
+        "starts_inside": region is not None
+        and report.loop is not None
+        and region.contains(list(report.loop.initial), at_zero=True),
         "version": pbcgen.__version__,
         "style": _style(),
     }

@@ -103,3 +103,45 @@ def test_a_budget_that_is_too_small_proves_nothing_and_progress_is_told():
     assert _coupled([[5, 1], [1, 4]], 1).status == "UNDECIDED"
     _coupled([[5, 1], [1, 4]], 520, told.append)
     assert told[0] == "region of attraction, 500 boxes"
+
+
+def _two_link_arm(law, **options):
+    """A planar arm in gravity whose inertia depends on the elbow."""
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    coupling = 0.5 + 0.3 * ca.cos(q[1])
+    M = [[1.2 + 0.6 * ca.cos(q[1]), coupling], [coupling, 0.5]]
+    V = -4 * ca.cos(q[0]) - 1.5 * ca.cos(q[0] + q[1])
+    system = Mechanical(q, p, M=M, V=V, D=[0.4, 0.2], G=ca.SX.eye(2), **options)
+    return Design(system, {"q_0": "0.8", "q_1": "-0.5"}, law, sample_period="2e-3", duration=60)
+
+
+def test_the_region_of_an_arm_is_sought_over_its_positions():
+    report = check(_two_link_arm(DynamicExtension([3, "1.5"], [5, 5], [20, 10], 1)))
+    found = region(report, 1500)
+    assert found.level > 5
+    assert found.contains([0, 0, 0, 0], at_zero=True)
+    loop = report.loop.__class__(**{**report.loop.__dict__, "initial": np.array([1.8, -1.2, 0.3, -0.1])})
+    assert found.contains(loop.initial.tolist())
+    end = simulate_continuous(loop, np.linspace(0, 120, 61)).x[-1]
+    np.testing.assert_allclose(end, report.loop.x_star, atol=1e-4)
+
+
+def test_bounded_momenta_are_part_of_the_box():
+    law = DynamicExtension([3, "1.5"], [5, 5], [20, 10], 1)
+    found = region(check(_two_link_arm(law, domain={"p_0": ("-0.5", "0.5"), "p_1": ("-0.5", "0.5")})), 1500)
+    assert found.box["p_0"][1] <= 0.5
+
+
+def test_the_region_ends_where_the_inertia_does():
+    """M = 1 - q^2 is positive only for ``|q| < 1``: beyond, the kinetic energy has no lower bound."""
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    system = Mechanical([q], [p], M=[[1 - q**2]], V=q**2, D=[1], G=[[1]], domain={"q": (-2, 2)})
+    found = region(check(Design(system, {"q": 0}, DynamicExtension(2, 3, 5, 1), sample_period="1e-3")), 1500)
+    assert found.status == "UNDECIDED" or found.box["q"][1] < 1
+
+
+def test_filters_at_zero_take_some_of_the_region(pendulum):
+    _, found = pendulum
+    x = [2.5, 0]
+    assert found.height_at_zero(x) > found.height(x)
+    assert found.height_at_zero([0, 0]) == pytest.approx(found.height([0, 0]), abs=1e-12)

@@ -147,7 +147,7 @@ def test_a_region_of_attraction_is_stated_and_drawn():
     region = Region(Status.PROVED, 0.81, box, "for this test", height)
     text = page(report, package, region=region)
     assert "Region of attraction" in text
-    assert "The initial state of the design is inside" in text
+    assert "The initial state of the design, with the filters at zero, is inside" in text
     (portrait, *_) = json.loads(re.search(r'id="plot-data">(.*?)</script>', text, re.DOTALL)[1])["portraits"]
     ((xs, _),) = portrait["region"]
     i = names.index("x3")
