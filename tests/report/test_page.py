@@ -144,7 +144,7 @@ def test_a_region_of_attraction_is_stated_and_drawn():
     def height(x):
         return sum(((v - c) / r) ** 2 for v, c, r in zip(x, centre, radii, strict=True))
 
-    region = Region(Status.PROVED, 0.81, box, "for this test", height)
+    region = Region(Status.PROVED, 0.81, box, "for this test", height, height)
     text = page(report, package, region=region)
     assert "Region of attraction" in text
     assert "The initial state of the design, with the filters at zero, is inside" in text
