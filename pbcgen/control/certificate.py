@@ -269,7 +269,7 @@ def _supplied(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str,
     if plant.system.gamma is not None:
         return {"x": [str(point[name]) for name in (*plant.system.state_names, *plant.system.input_names)]}
     found = obstruction(plant)
-    if found is None:
+    if found is None or found.by_jets:
         return None
     return {
         "input": found.input,

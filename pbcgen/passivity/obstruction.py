@@ -5,7 +5,8 @@ Where f = 0 and the dissipation vanishes to second order in the directions d, Z(
     d^T (df/dx)^T grad gamma_i = d^T grad (g_i^T grad S),   and  g_i^T grad S = 0.
 
 On a set of such equilibria x_V = 0 these linear equations may have no solution, or may determine the gradient of gamma
-along the set, which then needs a symmetric Jacobian there. Both are decided exactly; the witness is checked in balls.
+along the set, which then needs a symmetric Jacobian there; :mod:`pbcgen.passivity.jets` adds second derivatives. All
+is decided exactly, and the witness, a state inside the domain, is checked in balls.
 """
 
 from __future__ import annotations
@@ -17,13 +18,16 @@ import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.construction import WEIGHTS, general_position
-from pbcgen.passivity.plant import Plant
+from pbcgen.passivity.jets import equations as jet_equations
+from pbcgen.passivity.jets import jets_at, multipliers
+from pbcgen.passivity.plant import Plant, dot
 from pbcgen.symbolic.field import Field, Quotient
-from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
+from pbcgen.symbolic.linear import CONSTANT, Row, reduce_rows
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, is_finite, precision, rational, sign, text
 from pbcgen.symbolic.tape import Tape
 
 _LARGEST = 12
+_LARGEST_JETS = 8
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,7 @@ class Obstruction:
         input: the position of the input whose gamma does not exist.
         zero: the states that are zero on the set of equilibria.
         directions: directions d on the set, each with j where ``df/dx d`` is unit vector j, or None if it is zero.
+        by_jets: whether second derivatives of gamma are needed to show it; the directions do not then.
     """
 
     reason: str
@@ -45,6 +50,7 @@ class Obstruction:
     input: int = 0
     zero: tuple[int, ...] = ()
     directions: tuple[tuple[int | None, tuple[Quotient, ...]], ...] = ()
+    by_jets: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +76,7 @@ class _Equations:
 
     def combined(self, field: Field, weights: list[Quotient]) -> tuple[Quotient, ...]:
         """The direction that belongs to a combination of the equations."""
-        return tuple(_combine(field, weights, [d[k] for d in self.directions]) for k in range(len(self.rows[0])))
+        return tuple(dot(weights, [d[k] for d in self.directions], field.const(0)) for k in range(len(self.rows[0])))
 
 
 def obstruction(plant: Plant) -> Obstruction | None:
@@ -104,11 +110,20 @@ def _equilibria(plant: Plant) -> _Set | None:
     zero = list(range(plant.system.n))
     if not rests(zero):
         return None
+    inside = [_surrounds(plant.system.domain.get(name, (None, None))) for name in names]
     for k in range(plant.system.n):
         fewer = [j for j in zero if j != k]
         if rests(fewer):
             zero = fewer
+    if not all(inside[k] for k in zero):
+        return None
     return _Set(tuple(zero), tuple(k for k in range(plant.system.n) if k not in zero))
+
+
+def _surrounds(interval: tuple[Fraction | None, Fraction | None]) -> bool:
+    """Whether zero is inside, and not on the edge."""
+    lo, hi = interval
+    return (lo is None or lo < 0) and (hi is None or hi > 0)
 
 
 def _for_input(plant: Plant, places: _Set, i: int) -> Obstruction | None:
@@ -127,18 +142,14 @@ def _for_input(plant: Plant, places: _Set, i: int) -> Obstruction | None:
         reason = f"f = 0, so grad gamma^T f = 0, but the natural output for {system.input_names[i]} is not zero"
         return _witness(plant, places, rest, [], reason)
     directions = _kernel(field, hessian)
-    rows = [[_combine(field, d, J[j]) for j in range(system.n)] for d in directions]
-    right = [_combine(field, d, wanted) for d in directions]
+    rows = [[dot(d, J[j], zero) for j in range(system.n)] for d in directions]
+    right = [dot(d, wanted, zero) for d in directions]
     equations = _Equations(rows, right, directions)
-    return _contradiction(plant, field, places, equations, i) or _curl(plant, field, places, equations, i)
-
-
-def _combine(field: Field, weights: list[Quotient], values: list[Quotient]) -> Quotient:
-    total = field.const(0)
-    for weight, value in zip(weights, values, strict=True):
-        if not (weight.is_zero() or value.is_zero()):
-            total = total + weight * value
-    return total
+    return (
+        _contradiction(plant, field, places, equations, i)
+        or _curl(plant, field, places, equations, i)
+        or _by_jets(plant, places, directions, i)
+    )
 
 
 def _kernel(field: Field, matrix: list[list[Quotient]]) -> list[list[Quotient]]:
@@ -160,16 +171,12 @@ def _multipliers(
     field: Field, rows: list[list[Quotient]], right: list[Quotient] | None, target: list[Quotient]
 ) -> list[Quotient] | None:
     """Weights with ``weights^T rows = target`` (and ``weights^T right = 1`` if given), or None."""
-    equations: list[Row] = []
-    for j, value in enumerate(target):
-        equations.append({**{r: row[j] for r, row in enumerate(rows)}, CONSTANT: -value})
+    given: list[Row] = [dict(enumerate(row)) for row in rows]
+    wanted: Row = dict(enumerate(target))
     if right is not None:
-        equations.append({**dict(enumerate(right)), CONSTANT: -field.const(1)})
-    try:
-        solution = particular_solution(reduce_rows(equations), field.const(0))
-    except Inconsistent:
-        return None
-    return [solution.get(r, field.const(0)) for r in range(len(rows))]
+        given = [{**row, CONSTANT: value} for row, value in zip(given, right, strict=True)]
+        wanted[CONSTANT] = field.const(1)
+    return multipliers(given, wanted, field)
 
 
 def _contradiction(plant: Plant, field: Field, places: _Set, equations: _Equations, i: int) -> Obstruction | None:
@@ -190,7 +197,7 @@ def _curl(plant: Plant, field: Field, places: _Set, equations: _Equations, i: in
     for j in places.free:
         weights = _multipliers(field, equations.rows, None, [one if k == j else zero for k in range(plant.system.n)])
         if weights is not None:
-            slopes[j] = _combine(field, weights, equations.right), weights
+            slopes[j] = dot(weights, equations.right, zero), weights
     names = plant.system.state_names
     for j, (left, first) in slopes.items():
         for k, (other, second) in slopes.items():
@@ -207,6 +214,21 @@ def _curl(plant: Plant, field: Field, places: _Set, equations: _Equations, i: in
                 both = ((j, equations.combined(field, first)), (k, equations.combined(field, second)))
                 return replace(found, directions=both)
     return None
+
+
+def _by_jets(plant: Plant, places: _Set, directions: list[list[Quotient]], i: int) -> Obstruction | None:
+    """The first and second derivatives of gamma_i at the equilibria contradict each other."""
+    if plant.system.n > _LARGEST_JETS:
+        return None
+    jets = jets_at(plant, places.zero, places.free, directions, i)
+    one, name = jets.field.const(1), plant.system.input_names[i]
+    weights = multipliers(jet_equations(jets), {CONSTANT: one}, jets.field)
+    if weights is None:
+        return None
+    reason = f"at these equilibria the first and second derivatives of gamma for {name} contradict each other"
+    finite = [entry for d in jets.kernel for entry in d]
+    found = _witness(plant, places, one, [*weights, *finite], f"{reason}: it has no symmetric Hessian")
+    return None if found is None else replace(found, by_jets=True)
 
 
 def _witness(
