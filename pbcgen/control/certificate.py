@@ -290,8 +290,8 @@ def _blind(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, An
 
 
 def _theta(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
-    found = claim.counterexample or {}
-    return {"v": [str(v) for part in ("eta'", "y", "x_l'") for v in found[part]]}
+    found, parts = claim.counterexample or {}, ("eta'", "y", "x_l'")
+    return {"v": [str(v) for part in parts for v in found[part]]} if found.keys() >= set(parts) else None
 
 
 _Maker = Callable[[Derivation, Claim, Writing], dict[str, Any] | None]

@@ -28,10 +28,12 @@ from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, Pot
 from pbcgen.models.laws import gains as gains_of
 from pbcgen.passivity import passive_output
 from pbcgen.passivity.assignable import assignable_set
+from pbcgen.passivity.damping_search import Port
 from pbcgen.passivity.dissipation import NaturalDampingBounds, ThetaVerdict, assumption_3, theta
 from pbcgen.passivity.equilibrium import Equilibrium, complete, input_rank
 from pbcgen.passivity.passive_output import PassiveOutput as PassiveOutputResult
 from pbcgen.passivity.plant import Plant, Point
+from pbcgen.passivity.region import Region
 from pbcgen.passivity.shaping import (
     HessianVerdict,
     Shape,
@@ -151,7 +153,9 @@ def derive(design: Design, progress: Progress = None, sampling: Sampling | None 
     if output is not None and _base(design.law).name == NaturalDamping.name:
         bounds = stages.run(
             "natural damping",
-            lambda: assumption_3(plant, storage.structure, output.gamma, output.matched, storage.proved),
+            lambda: assumption_3(
+                plant, storage.structure, output.gamma, output.matched, storage.proved, Region.stated(plant)
+            ),
         )
         stages.add(bounds.claim)
     eta = bounds.eta if bounds is not None else None
@@ -159,8 +163,9 @@ def derive(design: Design, progress: Progress = None, sampling: Sampling | None 
     numbers: dict[str, Any] = _formulas(plant, output, eta)
     theta_verdict = None
     base = _base(law)
-    if bounds is not None and isinstance(base, NaturalDamping):
-        theta_verdict = theta(bounds, base)
+    if output is not None and bounds is not None and isinstance(base, NaturalDamping):
+        port = Port.of(plant, Region.stated(plant), output.gamma, eta)
+        theta_verdict = stages.run("theta", lambda: theta(bounds, base, port))
         stages.add(theta_verdict.claim)
     at_target = None
     if equilibrium.point is not None:

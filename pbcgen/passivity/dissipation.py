@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from math import floor, isfinite, log10
 
 import casadi as ca
 from flint import fmpq
@@ -18,12 +19,15 @@ from flint import fmpq
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.gains import Matrix
 from pbcgen.models.laws import NaturalDamping
+from pbcgen.passivity.damping_search import Port
 from pbcgen.passivity.plant import Plant
+from pbcgen.passivity.region import Region
 from pbcgen.passivity.shaping import congruence, diagonal, exact_matrix, multiply, transpose
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import RealMatrix, eigenvalues, inverse, positive_definite, positive_semidefinite
 from pbcgen.proof.nonnegative import nonnegative
+from pbcgen.proof.spot import Spots
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO, Real, fraction, rational, text
@@ -38,6 +42,7 @@ class NaturalDampingBounds:
         eta_names: how to call its entries.
         Lambda_l, Lambda_c: the largest constant diagonals found, or None.
         claim: the verdict `assumption-3`.
+        tight: whether no larger constants exist: the dissipation is constant, and eta' and y share none of it.
     """
 
     eta: ca.SX | None
@@ -45,6 +50,7 @@ class NaturalDampingBounds:
     Lambda_l: tuple[Real, ...] | None
     Lambda_c: tuple[Real, ...] | None
     claim: Claim
+    tight: bool = False
 
 
 @dataclass(frozen=True)
@@ -58,9 +64,50 @@ class _Rows:
 
 
 def assumption_3(
+    plant: Plant,
+    structure: PowerStructure | None,
+    gamma: ca.SX,
+    matched: bool,
+    storage_proved: bool,
+    region: Region | None = None,
+) -> NaturalDampingBounds:
+    """Find naturally damped coordinates and the largest constants for them, or a state without the damping.
+
+    Args:
+        plant: the system.
+        structure: a power structure whose identity holds, or None.
+        gamma: its gradient gives the passive output.
+        matched: whether the structure gives this gamma.
+        storage_proved: whether Assumption 1 is proved.
+        region: where a state without damping counts; the whole space if not given.
+    """
+    bounds = _bounds(plant, structure, gamma, matched, storage_proved)
+    if bounds.claim.status is not Status.UNDECIDED:
+        return bounds
+    where = region or Region.whole(plant)
+    found = Port.of(plant, where, gamma, bounds.eta).undamped()
+    if found is None:
+        return bounds
+    shown = ", ".join(f"{name} = {value}" for name, value in found.values.items())
+    if not found.shows:
+        evidence = f"{bounds.claim.evidence}; the dissipation is only {found.dissipation} at {shown}"
+        return replace(bounds, claim=replace(bounds.claim, evidence=evidence))
+    claim = Claim(
+        "assumption-3",
+        Status.REFUTED,
+        where.text,
+        "exact or ball arithmetic at a rational point",
+        f"no positive Lambda exists: the dissipation is {found.dissipation} where eta' or y is not zero, at {shown}",
+        "use dynamic-extension, or model the friction that is missing there",
+        {"x": found.values, "u^T y - S'": found.dissipation},
+    )
+    return replace(bounds, claim=claim, Lambda_l=None, Lambda_c=None)
+
+
+def _bounds(
     plant: Plant, structure: PowerStructure | None, gamma: ca.SX, matched: bool, storage_proved: bool
 ) -> NaturalDampingBounds:
-    """Find naturally damped coordinates and the largest constants for them."""
+    """What the constant part of the dissipation gives."""
     candidates, names = _candidates(plant, gamma)
     if structure is None or not matched or not storage_proved:
         why = "it needs assumption-1 and gamma by the power structure"
@@ -96,7 +143,8 @@ def assumption_3(
         f"Lambda_c = diag({', '.join(text(v, 6) for v in bounds[s:])})"
     )
     claim = Claim("assumption-3", Status.PROVED, "all x", "exact compliance of the dissipation", evidence)
-    return NaturalDampingBounds(eta, eta_names, tuple(bounds[:s]), tuple(bounds[s:]), claim)
+    separate = all(v == 0 for i, row in enumerate(W) for j, v in enumerate(row) if i != j)
+    return NaturalDampingBounds(eta, eta_names, tuple(bounds[:s]), tuple(bounds[s:]), claim, rows.complete and separate)
 
 
 def _given(plant: Plant) -> ca.SX | None:
@@ -177,14 +225,27 @@ def constant_part(B: list[list[Quotient]]) -> tuple[RealMatrix, bool] | None:
 
 
 def _constant_below(function: Quotient) -> Real:
-    """A constant that the nonnegative function never falls below: its constant term, if the rest is nonnegative."""
-    terms = {tuple(int(e) for e in raw): c for raw, c in function.numerator.to_dict().items()}
-    constant = terms.get(tuple(0 for _ in next(iter(terms))), fmpq(0))
-    if function.is_polynomial() and constant > 0:
-        rest = function - function.field.const(fraction(constant))
-        if nonnegative(rest):
-            return constant
+    """A constant that the nonnegative function never falls below, as large as the provers show, or zero.
+
+    Tried are its least values at a few points, rounded down, and what other terms may leave of the largest.
+    """
+    for candidate in _lower_bounds(function):
+        if candidate > 0 and nonnegative(function - function.field.const(candidate)):
+            return rational(candidate)
     return ZERO
+
+
+def _lower_bounds(function: Quotient) -> list[Fraction]:
+    """Candidates for the least value, largest first."""
+    above, below = ([fraction(c) for c in p.to_dict().values()] for p in (function.numerator, function.denominator))
+    scale = sum(map(abs, below), Fraction(0))
+    found = {max(above) / scale, (2 * max(above) - sum(map(abs, above), Fraction(0))) / scale}
+    least = Spots(function.field).least(function)
+    if isfinite(least) and least > 0:
+        exponent = floor(log10(least))
+        found |= {floor(least / 10.0**k) * Fraction(10) ** k for k in range(exponent, exponent - 4, -1)}
+        found |= {Fraction(1, 10) ** k for k in (-exponent + 1, -exponent + 2)}
+    return sorted(found, reverse=True)
 
 
 def _range_solution(B0: RealMatrix, row: Sequence[Real]) -> list[Real] | None:
@@ -285,18 +346,16 @@ class ThetaVerdict:
     smallest: float | None
 
 
-def theta(bounds: NaturalDampingBounds, law: NaturalDamping) -> ThetaVerdict:
-    """``Theta >= 0`` (Th), in the Loewner order; touching zero counts."""
+def theta(bounds: NaturalDampingBounds, law: NaturalDamping, port: Port | None = None) -> ThetaVerdict:
+    """``Theta >= 0`` (Th), in the Loewner order; touching zero counts.
+
+    Args:
+        bounds: the constants of Assumption 3; without them only a counterexample can be found.
+        law: with its gains.
+        port: where to look for states at which the damping is too weak, or None.
+    """
     if bounds.Lambda_l is None or bounds.Lambda_c is None or law.Upsilon is None:
-        claim = Claim(
-            "theta",
-            Status.UNDECIDED,
-            "all x",
-            "Schur complement over the rationals",
-            "needs assumption-3",
-            "satisfy assumption-3 first",
-        )
-        return ThetaVerdict(claim, None, None)
+        return ThetaVerdict(_theta_without_bounds(law, port), None, None)
     bound = _required(bounds.Lambda_l, bounds.Lambda_c, law.Upsilon)
     product = _filter_gain(law)
     verdict = positive_semidefinite(_excess(product, bound))
@@ -305,6 +364,11 @@ def theta(bounds: NaturalDampingBounds, law: NaturalDamping) -> ThetaVerdict:
     evidence = f"K_l R_l = {given}; sufficient and, for these Lambda, necessary: {smallest:.6g}"
     if verdict.status is Status.PROVED:
         claim = Claim("theta", Status.PROVED, "all x", "Schur complement over the rationals", evidence)
+    elif not bounds.tight and port is not None and port.theta_negative(law.Upsilon, product) is None:
+        evidence += "; other Lambda may do: no state was found at which the dissipation is too weak"
+        hint = f"raise K_l R_l to {smallest:.6g}"
+        method = "Schur complement over the rationals; search for a state with too little damping"
+        claim = Claim("theta", Status.UNDECIDED, "all x", method, evidence, hint)
     else:
         claim = Claim(
             "theta",
@@ -322,6 +386,21 @@ def theta(bounds: NaturalDampingBounds, law: NaturalDamping) -> ThetaVerdict:
             ),
         )
     return ThetaVerdict(claim, bound, smallest)
+
+
+def _theta_without_bounds(law: NaturalDamping, port: Port | None) -> Claim:
+    """A state at which no Lambda would be enough for these gains, or nothing."""
+    method = "search for a state with too little damping, confirmed at a rational point"
+    if port is None or law.Upsilon is None or port.eta_rate.numel() == 0:
+        return Claim("theta", Status.UNDECIDED, "all x", method, "needs assumption-3", "satisfy assumption-3 first")
+    found = port.theta_negative(law.Upsilon, _filter_gain(law))
+    if found is None:
+        evidence = "no state with too little damping was found; a proof needs assumption-3"
+        return Claim("theta", Status.UNDECIDED, port.region.text, method, evidence, "satisfy assumption-3 first")
+    shown = ", ".join(f"{name} = {value}" for name, value in found.values.items())
+    evidence = f"|l + w u|^2 - |Upsilon eta' - y|^2_(4 K_l R_l)^-1 = {found.dissipation} < 0 at {shown}"
+    witness = {"x": found.values, "Theta form": found.dissipation}
+    return Claim("theta", Status.REFUTED, port.region.text, method, evidence, "raise K_l R_l, or add friction", witness)
 
 
 def _required(Lambda_l: Sequence[Real], Lambda_c: Sequence[Real], upsilon: Matrix) -> RealMatrix:

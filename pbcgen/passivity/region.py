@@ -87,10 +87,10 @@ def search(plant: Plant, region: Region, value: ca.SX, scale: ca.SX) -> Search:
     return refute(Question(numeric, x, exact, region.bounds, size))
 
 
-def search_with_inputs(plant: Plant, region: Region, value: ca.SX) -> Search:
-    """Look for a state of the region and an input with ``value < 0``."""
+def search_with_inputs(plant: Plant, region: Region, value: ca.SX, scale: ca.SX | None = None) -> Search:
+    """Look for a state of the region and an input with ``value < 0``, judged by its scale (1 if not given)."""
     system = plant.system
-    numeric = plant.numeric(value)(system.x, system.u)
+    numeric, size = plant.numeric(value, ca.SX(1) if scale is None else scale)(system.x, system.u)
     tape = plant.tape(value)
 
     def exact(point: Sequence[Real]) -> Real:
@@ -98,7 +98,7 @@ def search_with_inputs(plant: Plant, region: Region, value: ca.SX) -> Search:
             return plant.walk(tape, point[: system.n], point[system.n :])[0][0][0]
 
     bounds = (*region.bounds, *(((None, None),) * system.m))
-    return refute(Question(numeric, ca.vertcat(system.x, system.u), exact, bounds))
+    return refute(Question(numeric, ca.vertcat(system.x, system.u), exact, bounds, size))
 
 
 def undefined(field: Field, prover: Prover, states: int) -> list[str]:

@@ -76,6 +76,7 @@ class Known:
         sector: for an odd increasing atom of a monomial the exponents of that monomial.
         pairs: polynomials T, xi with T xi >= 0.
         bounded: atoms with values in [-1, 1].
+        exponentials: atoms exp(a) with a polynomial a.
         spots: values at sample points, which show that there is nothing to prove.
     """
 
@@ -83,6 +84,7 @@ class Known:
     sector: dict[int, Exponents]
     pairs: tuple[tuple[fmpq_mpoly, fmpq_mpoly], ...]
     bounded: frozenset[int]
+    exponentials: frozenset[int]
     spots: Spots
 
     @staticmethod
@@ -99,7 +101,8 @@ class Known:
                     sector[k] = tuple(0 if i in positive else int(e) for i, e in enumerate(exponents))
         pairs = tuple(_pairs(field, frozenset(positive)))
         bounded = frozenset(k for k, a in field.atoms.items() if a.kind in _BOUNDED_KINDS)
-        return Known(frozenset(positive), sector, pairs, bounded, Spots(field, positive_symbols))
+        exponentials = frozenset(k for k, a in field.atoms.items() if a.kind == "exp" and a.argument.is_polynomial())
+        return Known(frozenset(positive), sector, pairs, bounded, exponentials, Spots(field, positive_symbols))
 
 
 def _pairs(field: Field, positive: frozenset[int]) -> Iterator[tuple[fmpq_mpoly, fmpq_mpoly]]:
@@ -323,7 +326,7 @@ def _doubly_dominant(matrix: Sequence[Sequence[fmpq]]) -> bool:
 
 
 def _by_vertices(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> bool:
-    """Products of sin, cos, tanh and erf as independent numbers in [-1, 1], or [0, 1] for squares."""
+    """Products of sin, cos, tanh and erf as independent numbers in [-1, 1], or [0, 1] for squares and exp(-a^2)."""
     vertices = _vertices(field, polynomial, known)
     return vertices is not None and all(_certain(field, vertex, known, depth - 1) for vertex in vertices)
 
@@ -335,18 +338,42 @@ def _vertices(field: Field, polynomial: fmpq_mpoly, known: Known) -> list[fmpq_m
     bounded atoms or too many products.
     """
     parts: dict[Exponents, dict[Exponents, fmpq]] = {}
+    bounded, unit = known.bounded, _largest_exponential(field, polynomial, known)
+    if unit is not None:
+        bounded |= known.exponentials
     for raw, coefficient in polynomial.to_dict().items():
-        exponents = tuple(int(e) for e in raw)
-        inside = tuple(e if k in known.bounded else 0 for k, e in enumerate(exponents))
-        outside = tuple(0 if k in known.bounded else e for k, e in enumerate(exponents))
+        exponents = tuple(int(e) - (0 if unit is None else unit[k]) for k, e in enumerate(raw))
+        inside = tuple(e if k in bounded else 0 for k, e in enumerate(exponents))
+        outside = tuple(0 if k in bounded else e for k, e in enumerate(exponents))
         parts.setdefault(inside, {})[outside] = coefficient
     products = [inside for inside in sorted(parts) if any(inside)]
     if not products or len(products) > _MOST_BOUNDED:
         return None
     free = field.context.from_dict(next((terms for inside, terms in parts.items() if not any(inside)), {}))
-    ends = [(0 if all(e % 2 == 0 for e in inside) else -1, 1) for inside in products]
+    ends = [(0 if all(inside[k] % 2 == 0 for k in known.bounded) else -1, 1) for inside in products]
     slopes = [field.context.from_dict(parts[inside]) for inside in products]
     return [sum((slope * end for slope, end in zip(slopes, choice, strict=True)), free) for choice in product(*ends)]
+
+
+def _largest_exponential(field: Field, polynomial: fmpq_mpoly, known: Known) -> Exponents | None:
+    """The product of exponentials in a term that no other such product exceeds: divided by it, they are in (0, 1]."""
+    terms = polynomial.to_dict()
+    parts = {tuple(int(e) if k in known.exponentials else 0 for k, e in enumerate(raw)) for raw in terms}
+    if not 2 <= len(parts) <= _MOST_PRODUCTS:
+        return None
+    for unit in sorted(parts):
+        fall = (_exponent(field, unit, known) - _exponent(field, part, known) for part in parts if part != unit)
+        if all(_nonnegative_form(field, difference, known) for difference in fall):
+            return unit
+    return None
+
+
+def _exponent(field: Field, powers: Exponents, known: Known) -> fmpq_mpoly:
+    """a, for a product of exponentials that is exp(a)."""
+    total = field.context.constant(0)
+    for k in known.exponentials:
+        total += field.atoms[k].argument.numerator * powers[k]
+    return total
 
 
 def _by_factors(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> bool:

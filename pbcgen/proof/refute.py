@@ -96,7 +96,11 @@ def _negative(question: Question, point: Sequence[Fraction]) -> Real | None:
 
 
 def _shortest(question: Question, point: tuple[Fraction, ...]) -> tuple[tuple[Fraction, ...], Real | None]:
-    """The point with as few digits as show the same, so that it can be written down and checked again."""
+    """The point with zeros and as few digits as show the same, so that it can be written down and checked again."""
+    for k, bounds in enumerate(question.bounds):
+        trial = tuple(_clipped(Fraction(0), bounds) if i == k else v for i, v in enumerate(point))
+        if point[k] != 0 and _negative(question, trial) is not None:
+            point = trial
     for digits in (1, 2, 3, 4, 6, 9, 12, 15, 17, 25):
         rounded = (Fraction(f"{Decimal(v.numerator) / Decimal(v.denominator):.{digits}g}") for v in point)
         simple = tuple(_clipped(v, bounds) for v, bounds in zip(rounded, question.bounds, strict=True))

@@ -12,7 +12,7 @@ import numpy as np
 from flint import fmpq_mpoly
 from numpy.typing import NDArray
 
-from pbcgen.symbolic.field import Field
+from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.real import approximate
 
 _POINTS = 24
@@ -57,6 +57,12 @@ class Spots:
         with np.errstate(all="ignore"):
             total, size = self._values(polynomial)
             return bool(np.any(np.isfinite(size) & (total < -_ROUNDING * size)))
+
+    def least(self, function: Quotient) -> float:
+        """The least value of a function at the points where it is finite; infinite if there is none."""
+        with np.errstate(all="ignore"):
+            values = self._values(function.numerator)[0] / self._values(function.denominator)[0]
+        return float(np.min(values, initial=np.inf, where=np.isfinite(values)))
 
     def _values(self, polynomial: fmpq_mpoly) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The values, and the sums of the magnitudes of the terms."""
