@@ -218,7 +218,7 @@ def natural_damping(derivation: Derivation, terms: Writing) -> Witness:
     values = [*bounds.Lambda_l, *bounds.Lambda_c]
     found = _squares(_beyond(derivation, eta, diagonal(values)), terms)
     lambdas = {"Lambda_l": [str(v) for v in bounds.Lambda_l], "Lambda_c": [str(v) for v in bounds.Lambda_c]}
-    return None if found is None else lambdas | found
+    return lambdas | (found or {})
 
 
 def sampled_damping(derivation: Derivation, damped: bool, terms: Writing) -> Witness:

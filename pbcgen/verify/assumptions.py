@@ -216,6 +216,8 @@ class Assumptions(Sums):
 
     def refuted_theta(self) -> None:
         """``v^T Theta v < 0``."""
+        if "v" not in self.witness["theta"]:
+            raise NotCheckable("the certificate holds no constants and no direction")
         v = self.given("theta", "v")
         require(sign(dot(v, [dot(row, v) for row in self.theta])) == -1, "the direction does not show it")
 

@@ -333,3 +333,25 @@ def test_a_constant_matrix_is_decided_exactly(entries, shift):
     elif smallest < -1e-9:
         assert not _semidefinite(rows)
     assert _definite(rows) == (smallest > 1e-9)
+
+
+@pytest.mark.parametrize("height", [1.0, 0.999])
+def test_a_bell_is_below_its_height(height):
+    """Exponentials are taken apart into exp(v), exp(v^2) and numbers; their products are at most one."""
+    assert _nonnegative(1 - height * ca.exp(-((A - 1.5) ** 2)))
+    assert _nonnegative(1 - height * ca.exp(-((A - B) ** 2) - B**2) * ca.sin(A))
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        1 - 1.001 * ca.exp(-((A - 1.5) ** 2)),
+        1 - ca.exp((A - 1.5) ** 2),
+        1 - ca.exp(-((A - B) ** 2) + B),
+        1 - ca.exp(-((A - B) ** 2)) - ca.exp(-(B**2)) * ca.sin(A) / 1000,
+        ca.exp(-(A**2)) - 1,
+        1 - 2 * ca.exp(-A),
+    ],
+)
+def test_what_a_bell_exceeds_is_not_proved(value):
+    assert not _nonnegative(value)
