@@ -90,6 +90,13 @@ class _Work:
             return None
         system, n = self.system, self.system.n
         symbols = range(len(system.field.symbols))
+        found = (claim.counterexample or {}).get("x")
+        if isinstance(found, dict):
+            plant = self.derivation.plant
+            if plant.exact(ca.vertcat(plant.system.f, plant.system.S))[0].atoms:
+                return None
+            numbers = [str(found[name]) for name in (*plant.system.state_names, *plant.system.input_names)]
+            return {"set": {str(k): self.terms.put(f"constant {v}") for k, v in enumerate(numbers)}, "z": numbers}
         chain = Elimination(system.field, [system.field.lift(0)] * len(symbols), system.rows)
         eliminate(chain, self.terms, [*symbols[n:], *symbols[:n]])
         set_ = {str(k): self.terms.function(v) for k, v in chain.solved.items()}

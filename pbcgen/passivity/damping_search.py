@@ -61,10 +61,15 @@ class Port:
         system = self.plant.system
         return ca.dot(system.u, self.y) - ca.dot(self.plant.gradient, system.xdot)
 
-    def undamped(self) -> Finding | None:
-        """Where the dissipation is zero, negative, or hardly there although eta' or y is not zero."""
+    def undamped(self, never_negative: bool) -> Finding | None:
+        """Where the dissipation is zero, negative, or hardly there although eta' or y is not zero.
+
+        Args:
+            never_negative: whether it is known that the dissipation is not negative.
+        """
         rates = ca.sumsqr(self.eta_rate) + ca.sumsqr(self.y)
-        found = self._search(self.dissipation - self.plant.number(_WEAK) * rates, rates)
+        found = None if never_negative else self._search(self.dissipation, rates)
+        found = found or self._search(self.dissipation - self.plant.number(_WEAK) * rates, rates)
         if found is None:
             return None
         point, _ = found

@@ -85,7 +85,7 @@ def assumption_3(
     if bounds.claim.status is not Status.UNDECIDED:
         return bounds
     where = region or Region.whole(plant)
-    found = Port.of(plant, where, gamma, bounds.eta).undamped()
+    found = Port.of(plant, where, gamma, bounds.eta).undamped(never_negative=storage_proved)
     if found is None:
         return bounds
     shown = ", ".join(f"{name} = {value}" for name, value in found.values.items())

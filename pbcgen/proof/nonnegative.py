@@ -338,7 +338,7 @@ def _vertices(field: Field, polynomial: fmpq_mpoly, known: Known) -> list[fmpq_m
     bounded atoms or too many products.
     """
     parts: dict[Exponents, dict[Exponents, fmpq]] = {}
-    bounded, unit = known.bounded, _largest_exponential(field, polynomial, known)
+    bounded, unit = known.bounded, largest_exponential(field, polynomial, known)
     if unit is not None:
         bounded |= known.exponentials
     for raw, coefficient in polynomial.to_dict().items():
@@ -355,20 +355,20 @@ def _vertices(field: Field, polynomial: fmpq_mpoly, known: Known) -> list[fmpq_m
     return [sum((slope * end for slope, end in zip(slopes, choice, strict=True)), free) for choice in product(*ends)]
 
 
-def _largest_exponential(field: Field, polynomial: fmpq_mpoly, known: Known) -> Exponents | None:
+def largest_exponential(field: Field, polynomial: fmpq_mpoly, known: Known) -> Exponents | None:
     """The product of exponentials in a term that no other such product exceeds: divided by it, they are in (0, 1]."""
     terms = polynomial.to_dict()
     parts = {tuple(int(e) if k in known.exponentials else 0 for k, e in enumerate(raw)) for raw in terms}
     if not 2 <= len(parts) <= _MOST_PRODUCTS:
         return None
     for unit in sorted(parts):
-        fall = (_exponent(field, unit, known) - _exponent(field, part, known) for part in parts if part != unit)
+        fall = (exponent_of(field, unit, known) - exponent_of(field, part, known) for part in parts if part != unit)
         if all(_nonnegative_form(field, difference, known) for difference in fall):
             return unit
     return None
 
 
-def _exponent(field: Field, powers: Exponents, known: Known) -> fmpq_mpoly:
+def exponent_of(field: Field, powers: Exponents, known: Known) -> fmpq_mpoly:
     """a, for a product of exponentials that is exp(a)."""
     total = field.context.constant(0)
     for k in known.exponentials:

@@ -17,7 +17,9 @@ from flint import fmpq, fmpq_mpoly
 from pbcgen.proof.nonnegative import (
     Exponents,
     Known,
+    exponent_of,
     gram_place,
+    largest_exponential,
     trigonometric_forms,
     without_sector_pairs,
 )
@@ -126,6 +128,7 @@ def _polynomial(
     found = _by_pairs(field, polynomial, known, depth)
     found = found if found is not None else _by_factors(field, polynomial, known, depth, leaf)
     found = found if found is not None else _by_ends(field, polynomial, known, depth)
+    found = found if found is not None else _by_falling_exponential(field, polynomial, known, depth)
     return found if found is not None or leaf is None else leaf(field, polynomial)
 
 
@@ -205,6 +208,40 @@ def _by_ends(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> 
         spread = Square(fmpq(1, 4), (Factor(field.atoms[k].kind, field.atoms[k].argument, None),), (one,))
         result += _product([toward, spread], squares)
     return result
+
+
+def _by_falling_exponential(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> list[Square] | None:
+    """``E (p + q e^a)`` with products of exponentials E and e^a, a <= 0.
+
+    ``p + q e^a = (1 - e^a) p + e^a (p + q)``, and ``1 - e^a = (1 - e^a) (-a) (-a) / a^2`` where a is not zero, which
+    is almost everywhere.
+    """
+    parts: dict[Exponents, dict[Exponents, fmpq]] = {}
+    for raw, coefficient in polynomial.to_dict().items():
+        exponents = tuple(int(e) for e in raw)
+        powers = tuple(e if k in known.exponentials else 0 for k, e in enumerate(exponents))
+        rest = tuple(e - p for e, p in zip(exponents, powers, strict=True))
+        parts.setdefault(powers, {})[rest] = coefficient
+    unit = largest_exponential(field, polynomial, known)
+    if unit is None or len(parts) != 2:
+        return None
+    (other,) = parts.keys() - {unit}
+    a = exponent_of(field, other, known) - exponent_of(field, unit, known)
+    p = field.context.from_dict(parts[unit])
+    both = p + field.context.from_dict(parts[other])
+    found = [_polynomial(field, value, known, depth - 1) for value in (p, both, -a)]
+    if found[0] is None or found[1] is None or found[2] is None:
+        return None
+    argument = field.polynomial(a)
+    scale = Factor("exp", field.polynomial(exponent_of(field, unit, known)), None)
+    gap, fall = Factor("exp", argument, field.const(0)), Factor("exp", argument, None)
+    inverse = field.const(1) / argument
+    above = [Square(s.weight, (*s.factors, gap), (s.vector[0] * inverse,)) for s in found[2]]
+    return [
+        Square(s.weight, (*s.factors, scale, *more), s.vector)
+        for more, squares in (((), _product(above, found[0])), ((fall,), found[1]))
+        for s in squares
+    ]
 
 
 def _product(left: Sequence[Square], right: Sequence[Square]) -> list[Square]:

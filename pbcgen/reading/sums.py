@@ -64,6 +64,8 @@ class Sums(System):
 
     def on_set(self, claim: str) -> Elimination:
         """The set that a witness describes: some states and inputs as functions of the others."""
+        if "set" not in self.witness[claim]:
+            raise NotCheckable("the certificate holds no set")
         chain = Elimination(self.field, [], [])
         chain.solved = {int(k): self.placed[place] for k, place in self.witness[claim]["set"].items()}
         return chain

@@ -195,8 +195,9 @@ class Assumptions(Sums):
         place = [put_in(self.field, chain.reduced(v), z) for v in self.field.symbols]
         require(self.inside(dict(zip(self.states, place, strict=False))), "the set leaves the domain")
         one_u = [1, *place[self.n :]]
-        y = [dot([put_in(self.field, v, place) for v in row], one_u) for row in self.rate("gamma")]
-        require({1, -1} & {sign(v) for v in y}, "the outputs may be zero")
+        rates = [row for name in ("gamma", "eta") if name in self.exact for row in self.rate(name)]
+        moving = [dot([put_in(self.field, v, place) for v in row], one_u) for row in rates]
+        require({1, -1} & {sign(v) for v in moving}, "what shall be damped may be at rest")
 
     @property
     def theta(self) -> Matrix:
@@ -216,7 +217,7 @@ class Assumptions(Sums):
 
     def refuted_theta(self) -> None:
         """``v^T Theta v < 0``."""
-        if "v" not in self.witness["theta"]:
+        if not {"v"} & self.witness["theta"].keys() | {"Lambda_l"} & self.witness["assumption-3"].keys():
             raise NotCheckable("the certificate holds no constants and no direction")
         v = self.given("theta", "v")
         require(sign(dot(v, [dot(row, v) for row in self.theta])) == -1, "the direction does not show it")

@@ -115,7 +115,7 @@ def _with_tree(document, change):
         lambda tree: tree + ".",
         lambda tree: "",
         lambda tree: ".",
-        lambda tree: "a" + tree[1:],
+        lambda tree: ("b" if tree[0] == "a" else "a") + tree[1:],
         lambda tree: "z" + tree[1:],
         lambda tree: "1" + tree[1:],
     ],
