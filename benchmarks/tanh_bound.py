@@ -5,7 +5,7 @@ arithmetic, on pieces of ``[0, END]``. What rounding adds follows from the stand
 ``fl(a op b) = (a op b)(1 + d)`` with ``abs(d) <= u``, carried through the Horner schemes piece by piece; all terms are
 positive, and fused operations round less often. Beyond ``END`` the function is shown to exceed 1 by more than rounding
 can take, so that the cut makes it 1. Below the pieces' resolution nothing is left out: the first piece starts at zero,
-and where x^2 underflows P and Q round to 1.
+and where x^2 underflows P and Q round to P(0) = Q(0), a power of two.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ def proved(precision: Precision) -> Bound:
     old, ctx.prec = ctx.prec, 256
     cap, ctx.cap = ctx.cap, ORDER + 1
     try:
-        P, Q = (_coefficients(table[precision], precision) for table in (NUMERATOR, DENOMINATOR))
+        P = _coefficients(NUMERATOR[precision], precision)
+        Q = [*_coefficients(DENOMINATOR[precision], precision), Fraction(1)]
         end = Fraction(END[precision])
         largest = Bound(0.0, 0.0)
         at = Fraction(0)
@@ -56,7 +57,7 @@ def proved(precision: Precision) -> Bound:
 
 
 def _coefficients(values: tuple[float, ...], precision: Precision) -> list[Fraction]:
-    return [Fraction(1), *(Fraction(float(nearest(v, precision))) for v in values)]
+    return [Fraction(float(nearest(v, precision))) for v in values]
 
 
 def _piece(P: list[Fraction], Q: list[Fraction], at: Fraction, precision: Precision) -> Bound:
@@ -68,7 +69,7 @@ def _piece(P: list[Fraction], Q: list[Fraction], at: Fraction, precision: Precis
     low, top = _ball(at).tanh(), _ball(at + PIECE).tanh()
     if at == 0:  # the error is x^3 (...): its first coefficients are zero, so that it is divided by x term by term
         if near[0] != 0 or not abs(near[1]) < arb(2) ** -200:
-            raise ArithmeticError("P(0) = Q(0) = 1 was expected")
+            raise ArithmeticError("P(0) = Q(0) was expected")
         apart = sum((abs(near[k]) * r ** (k - 1) for k in range(2, ORDER)), arb(0)) + abs(over[ORDER]) * r ** (
             ORDER - 1
         )

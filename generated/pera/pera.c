@@ -70,42 +70,42 @@ static void pera_fall_back(pera_state_t *state, pera_output_t *output)
 
 /*
  * x P(y)/Q(y), its magnitude cut at 1, also where a product overflows; NaN if x is NaN. k: the coefficients of P from
- * the highest down, then those of Q without the last one, which is 1.
+ * the highest down, then those of Q without the highest, which is 1.
  */
 static inline float pera_cut_ratio(const float k[9], float x, float y)
 {
     const float p = (((k[0] * y + k[1]) * y + k[2]) * y + k[3]) * y + k[4];
-    const float q = (((k[5] * y + k[6]) * y + k[7]) * y + k[8]) * y + 1.0f;
+    const float q = (((y + k[5]) * y + k[6]) * y + k[7]) * y + k[8];
     const float t = x * p / q;
 
     return (fabsf(t) <= 1.0f) ? t : (x / fabsf(x));
 }
 
 /*
- * tanh(x): a rational function, at most 5.8 units in the last place (3.5e-07) off. The cut at 1 is for what lies
+ * tanh(x): a rational function, at most 5.9 units in the last place (3.5e-07) off. The cut at 1 is for what lies
  * beyond the interval of the fit.
  */
 static float pera_tanh(float x)
 {
     static const float k[9] = {
-        1.3384294e-08f, 2.0635805e-05f, 0.003497457f, 0.13382679f, 1.0f,
-        7.790226e-07f, 0.0003288518f, 0.025884341f, 0.46716f
+        0.018589608f, 24.823597f, 3857.89f, 141924.53f, 1.048576e+06f,
+        376.17844f, 27864.201f, 491450.03f, 1.048576e+06f
     };
 
     return pera_cut_ratio(k, x, x * x);
 }
 
 /*
- * tanh(s) of the solution of s + mu tanh(s) = c for mu = 0.1359864, at most 1.6e-07 off for every c (in exact
+ * tanh(s) of the solution of s + mu tanh(s) = c for mu = 0.1359864, at most 1.7e-07 off for every c (in exact
  * arithmetic): odd and rational near zero, beyond that rational in the distance to where the piece begins.
  */
 static float pera_solve_0(float c)
 {
     static const float k[2][9] = {
-        {2.064338e-05f, 0.0042899936f, 0.07957204f, 0.41036224f, 0.8802921f,
-         0.0004530202f, 0.023064254f, 0.19872096f, 0.6935458f},
-        {0.055009604f, 0.2321827f, 0.7066469f, 1.2369395f, 0.9993293f,
-         0.055010814f, 0.23216084f, 0.7068016f, 1.2364281f}
+        {0.04556834f, 9.469761f, 175.64787f, 905.8365f, 1943.163f,
+         50.912193f, 438.65805f, 1530.938f, 2207.407f},
+        {0.999978f, 4.220674f, 12.845601f, 22.485388f, 18.166052f,
+         4.2202764f, 12.8484125f, 22.476093f, 18.178244f}
     };
     const float r = fabsf(c);
     const float *piece = k[0];
@@ -174,12 +174,13 @@ pera_status_t pera_step(pera_state_t *state, const pera_input_t *input,
     }
 
     /* Prepare: the loop equation s + N tanh(s) = c. */
-    const float v0 = 0.9999f * state->x_c_1;
-    const float v1 = 0.999995f * state->x_c_2;
-    const float v2 = 0.99995f * state->x_c_3;
-    const float c0 = 80.0f * (input->q1 + 1.81f + v0);
-    const float c1 = 100.0f * (input->q2 - 1.5707964f + v1);
-    const float c2 = 80.0f * (input->q3 - 0.78f + v2);
+    const float v0 = sinf(input->q2);
+    const float v1 = 0.9999f * state->x_c_1;
+    const float v2 = 0.999995f * state->x_c_2;
+    const float v3 = 0.99995f * state->x_c_3;
+    const float c0 = 80.0f * (input->q1 + 1.81f + v1);
+    const float c1 = 100.0f * (input->q2 - 1.5707964f + v2);
+    const float c2 = 80.0f * (input->q3 - 0.78f + v3);
 
     /* Solve it for t = tanh(s). */
     const float t0 = pera_solve_0(c0);
@@ -187,11 +188,11 @@ pera_status_t pera_step(pera_state_t *state, const pera_input_t *input,
     const float t2 = pera_solve_2(c2);
 
     /* Update: the next state and the outputs. */
-    const float next_x_c_1 = v0 - 0.00169983f * t0;
-    const float next_x_c_2 = v1 - 1.4999925e-05f * t1;
-    const float next_x_c_3 = v2 - 0.00016499175f * t2;
+    const float next_x_c_1 = v1 - 0.00169983f * t0;
+    const float next_x_c_2 = v2 - 1.4999925e-05f * t1;
+    const float next_x_c_3 = v3 - 0.00016499175f * t2;
     const float out_u1 = -17.0f * t0;
-    const float out_u2 = 1.5696f * sinf(input->q2) + -3.0f * t1;
+    const float out_u2 = 1.5696f * v0 + -3.0f * t1;
     const float out_u3 = -3.3f * t2;
     if (!(((next_x_c_1 * next_x_c_1) + (next_x_c_2 * next_x_c_2) + (next_x_c_3 * next_x_c_3) + (out_u1 * out_u1)
           + (out_u2 * out_u2) + (out_u3 * out_u3)) <= 8.507059e+37f))

@@ -51,26 +51,26 @@ static void rlc_fall_back(rlc_output_t *output)
 
 /*
  * x P(y)/Q(y), its magnitude cut at 1, also where a product overflows; NaN if x is NaN. k: the coefficients of P from
- * the highest down, then those of Q without the last one, which is 1.
+ * the highest down, then those of Q without the highest, which is 1.
  */
 static inline float rlc_cut_ratio(const float k[9], float x, float y)
 {
     const float p = (((k[0] * y + k[1]) * y + k[2]) * y + k[3]) * y + k[4];
-    const float q = (((k[5] * y + k[6]) * y + k[7]) * y + k[8]) * y + 1.0f;
+    const float q = (((y + k[5]) * y + k[6]) * y + k[7]) * y + k[8];
     const float t = x * p / q;
 
     return (fabsf(t) <= 1.0f) ? t : (x / fabsf(x));
 }
 
 /*
- * tanh(x): a rational function, at most 5.8 units in the last place (3.5e-07) off. The cut at 1 is for what lies
+ * tanh(x): a rational function, at most 5.9 units in the last place (3.5e-07) off. The cut at 1 is for what lies
  * beyond the interval of the fit.
  */
 static float rlc_tanh(float x)
 {
     static const float k[9] = {
-        1.3384294e-08f, 2.0635805e-05f, 0.003497457f, 0.13382679f, 1.0f,
-        7.790226e-07f, 0.0003288518f, 0.025884341f, 0.46716f
+        0.018589608f, 24.823597f, 3857.89f, 141924.53f, 1.048576e+06f,
+        376.17844f, 27864.201f, 491450.03f, 1.048576e+06f
     };
 
     return rlc_cut_ratio(k, x, x * x);

@@ -163,9 +163,10 @@ def _piece(knot: float, length: float, x: Sequence[arb], values: Sequence[arb], 
     error, P, Q = best_rational(scaled, values, weights, (DEGREE, DEGREE))
     if not error <= _AIM or max(_cancellation(f, v) for f in (P, Q) for v in scaled) > _LARGEST_CANCELLATION:
         return None
-    numerator = _floats([v / scale**i for i, v in enumerate(P)])
-    denominator = _floats([v / scale**i for i, v in enumerate(Q)])
-    return Piece(knot, length, numerator, denominator[1:]) if numerator and denominator else None
+    highest = Q[-1] / scale**DEGREE
+    numerator = _floats([v / scale**i / highest for i, v in enumerate(P)])
+    denominator = _floats([v / scale**i / highest for i, v in enumerate(Q)])
+    return Piece(knot, length, numerator, denominator[:-1]) if numerator and denominator else None
 
 
 def _cancellation(polynomial: Sequence[arb], x: arb) -> float:
@@ -289,11 +290,11 @@ def _form(fit: Fit, k: int) -> Callable[[arb_series], arb_series]:
 
 
 def _ratio(piece: Piece, x: Any) -> Any:
-    """P/Q for a ball or a series; undefined where Q is not certainly positive."""
-    Q = horner([arb(v) for v in (1, *piece.denominator)], x)
+    """P/Q for a ball or a series; undefined where Q may be zero."""
+    Q = horner([arb(v) for v in (*piece.denominator, 1)], x)
     constant = Q[0] if isinstance(Q, arb_series) else Q
     P = horner([arb(v) for v in piece.numerator], x)
-    return P / Q if constant > 0 else P * arb.nan()
+    return P / Q if constant > 0 or constant < 0 else P * arb.nan()
 
 
 def _corrected(correction: Sequence[float], c: arb_series) -> arb_series:

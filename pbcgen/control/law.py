@@ -41,7 +41,7 @@ class Piece:
 
     Attributes:
         numerator: of P.
-        denominator: of Q, without its constant, which is 1.
+        denominator: of Q, without that of the highest power, which is 1.
     """
 
     knot: float

@@ -27,7 +27,12 @@ def chebyshev(low: float, high: float, count: int) -> list[arb]:
 
 
 def rational(
-    x: Sequence[arb], values: Sequence[arb], weights: Sequence[arb], degrees: tuple[int, int], lead: arb | None = None
+    x: Sequence[arb],
+    values: Sequence[arb],
+    weights: Sequence[arb],
+    degrees: tuple[int, int],
+    constant: arb | None = None,
+    highest: arb | None = None,
 ) -> tuple[float, list[arb], list[arb]]:
     """P and Q with ``weights |P/Q - values|`` about as small as it gets on the points x.
 
@@ -36,15 +41,21 @@ def rational(
         values: what is to be fitted there.
         weights: of the errors there, positive.
         degrees: of P and of Q; the constant of Q is 1.
-        lead: the constant of P, where it is given.
+        constant: that of P, where it is given.
+        highest: the coefficient of Q's highest power, where it is given.
 
     Returns:
         The largest weighted error, and the coefficients of P and Q from the constant up.
     """
     n, m = degrees
-    first = 0 if lead is None else 1
+    zero = arb(0)
+    first, last = (0 if constant is None else 1), (m if highest is None else m - 1)
     rows = [
-        [*(v**i for i in range(first, n + 1)), *(-(v**i) * g for i in range(1, m + 1)), g - (lead if first else 0)]
+        [
+            *(v**i for i in range(first, n + 1)),
+            *(-(v**i) * g for i in range(1, last + 1)),
+            g * (1 + (highest or zero) * v**m) - (constant or zero),
+        ]
         for v, g in zip(x, values, strict=True)
     ]
     lawson, scale = [1.0] * len(x), [arb(1)] * len(x)
@@ -55,8 +66,8 @@ def rational(
             c = _least_squares(rows, factors)
         except ZeroDivisionError:
             break
-        P = [lead, *c[: n + 1 - first]] if lead is not None else c[: n + 1]
-        Q = [arb(1), *c[n + 1 - first :]]
+        P = [*([] if constant is None else [constant]), *c[: n + 1 - first]]
+        Q = [arb(1), *c[n + 1 - first :], *([] if highest is None else [highest])]
         scale = [horner(Q, v) for v in x]
         errors = [abs(float((horner(P, v) / q - g) * w)) for v, q, g, w in zip(x, scale, values, weights, strict=True)]
         largest = max(errors)

@@ -140,6 +140,13 @@ _FORMS: Final = FORMS | {
     "limit": Form("{p}_limit({0}, {1})", helper="limit"),  # largest of -{1} and the least of {0} and {1}
 }
 
+#: Operations that call a function of the math library; those that compilers have an instruction for are left out.
+LIBRARY: Final = frozenset(
+    name
+    for name, form in FORMS.items()
+    if "{f}(" in form.template and name not in ("fabs", "sqrt", "copysign", "fmin", "fmax")
+)
+
 #: Operations whose value is their first operand.
 PASSING: Final = ("assign", "assign_first")
 
@@ -241,10 +248,13 @@ class _Text:
 class Printer:
     """Prints the nodes of one function, in one or several stages.
 
-    ``roots`` are all nodes that any stage will ask for: how often a value is used decides where it is written.
+    ``roots`` are all nodes that any stage will ask for: how often a value is used decides where it is written. Those of
+    ``named`` get a variable in any case.
     """
 
-    def __init__(self, graph: Graph, precision: Precision, prefix: str, roots: Sequence[Node]) -> None:
+    def __init__(
+        self, graph: Graph, precision: Precision, prefix: str, roots: Sequence[Node], named: Iterable[Node] = ()
+    ) -> None:
         self._graph = graph
         self._precision = precision
         self._words = {
@@ -256,6 +266,7 @@ class Printer:
         }
         nodes = graph.reachable(roots)
         self._roots = frozenset(id(root) for root in roots)
+        self._named = frozenset(id(node) for node in named)
         self._uses = Counter(id(root) for root in roots)
         for node in nodes:
             for k, operand in enumerate(node.operands):
@@ -280,6 +291,8 @@ class Printer:
         return tuple(statements), tuple(self._printed[id(root)].text for root in roots)
 
     def _is_inlined(self, node: Node, text: _Text) -> bool:
+        if id(node) in self._named:
+            return False
         return self._uses[id(node)] == 1 and (len(text.text) <= INLINE_LENGTH or id(node) in self._roots)
 
     def _text(self, node: Node) -> _Text:

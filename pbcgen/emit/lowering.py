@@ -21,7 +21,7 @@ from pbcgen.control.law import (
 )
 from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
 from pbcgen.control.step import channels_to_check, check_solves, equilibrium_output, initial_state, setting_bounds
-from pbcgen.emit.expressions import Graph, Node, Printer, Statement
+from pbcgen.emit.expressions import LIBRARY, Graph, Node, Printer, Statement
 from pbcgen.emit.identifiers import Scope
 from pbcgen.emit.literals import literal
 from pbcgen.emit.program import (
@@ -306,10 +306,12 @@ def _body(law: ControlLaw, prefix: str, members: _Members, functions: _SolverFun
     coefficients = _Coefficients.of(law, prefix, N, zero)
     prepare_roots = {f"c{i}": root for i, root in enumerate(c.column(zero))} | coefficients.roots
     update_roots = _update_roots(law, graph, members, t_names)
-    printer = Printer(graph, law.precision, prefix, [*prepare_roots.values(), *update_roots.values()])
+    early = _library_calls(graph, list(update_roots.values()), t_names) if law.channels else []
+    printer = Printer(graph, law.precision, prefix, [*prepare_roots.values(), *update_roots.values()], early)
+    called, _ = printer.stage(early)
     scalars, blocks = _calls(law, functions, coefficients.texts, t_names)
     return Body(
-        prepare=_named_stage(printer, prepare_roots),
+        prepare=(*called, *_named_stage(printer, prepare_roots)),
         prepare_checks=(
             *(f"{prefix}_is_finite(c{i})" for solve in law.solves for i in channels_to_check(solve)),
             *coefficients.checks,
@@ -320,6 +322,18 @@ def _body(law: ControlLaw, prefix: str, members: _Members, functions: _SolverFun
         results=tuple(name for name, root in update_roots.items() if not _is_limited(root)),
         helpers=printer.helpers | _tanh_functions(law),
     )
+
+
+def _library_calls(graph: Graph, roots: Sequence[Node], t_names: Sequence[str]) -> list[Node]:
+    """Calls of the math library that need no t: made first, while few numbers wait on the stack for their return."""
+    late: set[int] = set()
+    calls = []
+    for node in graph.reachable(roots):  # operands first
+        if node.text in t_names or any(id(operand) in late for operand in node.operands):
+            late.add(id(node))
+        elif node.operation in LIBRARY:
+            calls.append(node)
+    return calls
 
 
 def _is_limited(node: Node) -> bool:

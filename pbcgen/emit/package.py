@@ -140,7 +140,7 @@ def _context(law: ControlLaw, provenance: Provenance, program: Program) -> dict[
         "moves": program.moves,
         "helpers": program.helpers,
         "channels": law.channels,
-        "degree": len(program.fast_tanh.numerator) if program.fast_tanh else 0,
+        "degree": len(program.fast_tanh.denominator) if program.fast_tanh else 0,
         "input_texts": [f"input->{member.c_name}" for member in program.inputs],
         "checks_finite": any("_is_finite(" in check for check in program.body.prepare_checks)
         or program.block_functions,

@@ -111,7 +111,7 @@ class FittedFunction:
 
 @dataclass(frozen=True)
 class FastTanh:
-    """Coefficients of the rational tanh from the highest down, without the constants; its error.
+    """Coefficients of the rational tanh from the highest down, for Q without that; its error.
 
     ``cosh`` has those of 2 (cosh(z) - 1) in x = z 2^doublings; it is empty where cosh comes from the math library.
     """

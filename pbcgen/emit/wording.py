@@ -120,13 +120,16 @@ def horner_in(coefficients: Sequence[str], variable: str, *, outer: bool = False
     return text if outer or len(coefficients) == 1 else f"({text})"
 
 
-def horner_of(array: str, first: int, count: int, variable: str, *last: str) -> str:
-    """The polynomial whose coefficients, from the highest down, are entries of an array, and ``last`` behind them.
+def horner_of(array: str, first: int, count: int, variable: str, *, monic: bool = False) -> str:
+    """The polynomial whose coefficients, from the highest down, are entries of an array, behind a one if it is monic.
 
-    >>> horner_of("k", 0, 3, "y"), horner_of("k", 3, 1, "y", "1.0f")
-    ('(k[0] * y + k[1]) * y + k[2]', 'k[3] * y + 1.0f')
+    >>> horner_of("k", 0, 3, "y"), horner_of("k", 3, 2, "y", monic=True)
+    ('(k[0] * y + k[1]) * y + k[2]', '(y + k[3]) * y + k[4]')
     """
-    return horner_in((*(f"{array}[{k}]" for k in range(first, first + count)), *last), variable, outer=True)
+    entries = [f"{array}[{k}]" for k in range(first, first + count)]
+    if monic:
+        entries[0] = f"({variable} + {entries[0]})"
+    return horner_in(entries, variable, outer=True)
 
 
 def sum_of_squares(values: Sequence[str], indent: str) -> str:
