@@ -224,7 +224,7 @@ def find_branch(
     degree = _DEGREES.get(settings, 2)
     exponents = [e for e in product(range(degree + 1), repeat=settings) if sum(e) <= degree]
     powers = np.array([[np.prod(s**e) for e in exponents] for s in samples])
-    fitted = np.linalg.lstsq(powers, np.array(values), rcond=None)[0]
+    fitted = _short(np.linalg.lstsq(powers, np.array(values), rcond=None)[0])
     steps = _needed(system, samples, (lo, hi), powers @ fitted, np.array(values))
     if steps is None:
         return f"{_STEPS} Newton steps do not reach its solution everywhere in the box"
@@ -297,6 +297,15 @@ def _needed(
                 return None
             z[row] -= np.linalg.solve(F_z, F)
     return None
+
+
+def _short(fitted: Array) -> Array:
+    """Coefficients in six digits: so many are the same on every machine, and the steps make up for the rest."""
+    least = 1e-7 * np.abs(fitted).max(axis=0)
+    rows = [
+        [float(f"{c:.6g}") if abs(c) > small else 0.0 for c, small in zip(row, least, strict=True)] for row in fitted
+    ]
+    return np.array(rows)
 
 
 def _polynomial(coefficients: Mapping[tuple[int, ...], float], variables: Sequence[ca.SX]) -> ca.SX:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from fractions import Fraction
 
@@ -62,6 +63,12 @@ def test_the_written_steps_reach_the_solution(branch) -> None:
         found = own.enclose([rational(Fraction(v)) for v in p])
         assert found is not None
         np.testing.assert_allclose(np.array(formula(p)).ravel(), [approximate(v) for v in found.z], atol=1e-14)
+
+
+def test_the_coefficients_are_short_so_that_every_machine_writes_the_same() -> None:
+    numbers = [float(word) for word in re.findall(r"\d+\.?\d*(?:e[-+]?\d+)?", str(cubic().start))]
+    assert numbers
+    assert all(float(f"{v:.6g}") == v for v in numbers)
 
 
 def test_a_cell_that_is_too_wide_is_refused() -> None:
