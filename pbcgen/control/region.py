@@ -45,8 +45,12 @@ _HALVINGS = 60
 #: Work for the proposals (cube of the order times vertices), and how many there are at least.
 _WORK = 30_000
 _LEAST_PROPOSALS = 6
+#: Proposals in a row that prove no larger ellipsoid, after which the search ends.
+_PATIENCE = 6
 #: Parts of a box that may be looked at for one ellipsoid.
 _PARTS = 150
+#: Logarithm below which a mode of the linear loop has faded.
+_FADED = -200.0
 #: A scale that is proved may still grow by about so much.
 _GROWTH = 2.0
 
@@ -127,7 +131,7 @@ def _best(loop: SaturatedLoop) -> _Found | None:
         families.append(_boxes(loop, at_target))
     best: _Found | None = None
     for widths in families:
-        left = _budget(loop) // len(families)
+        left, failures = _budget(loop) // len(families), 0
         for width in widths:
             hopeless = best is not None
             for share in _DECAYS:
@@ -139,8 +143,9 @@ def _best(loop: SaturatedLoop) -> _Found | None:
                 left -= 1
                 if best is None or _GROWTH * loop.size_of(factor) > best[0]:
                     hopeless = False
-                    best = _grown(loop, factor, best) or best
-            if hopeless or left == 0:
+                    grown = _grown(loop, factor, best)
+                    best, failures = grown or best, 0 if grown else failures + 1
+            if hopeless or left == 0 or (best is not None and failures >= _PATIENCE):
                 break
     return best or _grown(loop, _modal(loop, at_target), None)
 
@@ -188,7 +193,9 @@ def _boxes(loop: SaturatedLoop, at_target: Slope) -> list[Array]:
     times = np.concatenate([[0.0], np.geomspace(0.1 / np.max(np.abs(values)), 5 / np.min(-values.real), 400)])
     start = loop.start if np.any(loop.start) else np.ones(len(loop.names))
     modes = np.linalg.solve(vectors, start.astype(complex))
-    path = np.abs((vectors * modes) @ np.exp(np.outer(values, times)))
+    exponents = np.outer(values, times)
+    fading = np.where(exponents.real > _FADED, np.exp(np.maximum(exponents.real, _FADED) + 1j * exponents.imag), 0)
+    path = np.abs((vectors * modes) @ fading)
     largest = np.max(path, axis=1)
     return [np.where(largest > 0, share * largest, np.inf) for share in _SHARES]
 
