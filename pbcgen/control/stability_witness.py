@@ -18,13 +18,14 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.laws import NaturalDamping
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.lyapunov import Kind, lyapunov
+from pbcgen.proof.tree import tree
 from pbcgen.reading.system import Fails
 from pbcgen.symbolic.linear import Inconsistent, Row, reduce_rows, solve
 from pbcgen.symbolic.plain.elimination import Elimination
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, krawczyk, stable
 from pbcgen.symbolic.plain.values import Grow, NotCheckable, partial, plain, variables
-from pbcgen.symbolic.real import approximate, midpoint
+from pbcgen.symbolic.real import approximate, fraction, midpoint
 from pbcgen.verify.claims import BITS, BITS_PER_STATE
 from pbcgen.verify.stability import Stability
 
@@ -32,6 +33,8 @@ from pbcgen.verify.stability import Stability
 _LARGEST_ROUTH = 20
 #: Larger systems have no chain of implications in the certificate; it would take minutes to check.
 _LARGEST_CHAIN = 100
+#: Boxes over a period of the angles for each limit.
+_MOST_BOXES = 3000
 _DIGITS = (5, 8, 12, 17)
 _RADIUS, _ROUNDS, _PLACES = "1e-70", 12, 80
 _MISFITS = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError)
@@ -102,6 +105,18 @@ class _Work:
         set_ = {str(k): self.terms.function(v) for k, v in chain.solved.items()}
         return {"set": set_, "z": [str(fmpq(3 * k + 1, 64 * k + 70)) for k in symbols]}
 
+    def limited(self, claim: Claim) -> Witness:
+        """`saturation` where a force is compensated and bounds of its terms do not suffice: a period in boxes."""
+        if claim.status is Status.REFUTED or not self.system.compensated:
+            return None
+        trees = {}
+        for k, room in enumerate(self.system.rooms):
+            least, size = self.system.field.bound(room)
+            if least < size:
+                box, function = self.system.on_period(room)
+                trees[str(k)] = tree(function, [(fraction(lo), fraction(hi)) for lo, hi in box], {}, _MOST_BOXES)
+        return {"trees": trees} if trees and None not in trees.values() else None
+
     def local(self, claim: Claim) -> Witness:
         """`stable` and `asymptotically-stable`."""
         system = self.system
@@ -138,7 +153,8 @@ class _Work:
     def _undamped(self) -> Witness:
         """States as functions of free ones, with u = u* and gamma = gamma*."""
         situation, plant = self.derivation.situation, self.derivation.plant
-        assert situation is not None
+        if situation is None:
+            return None
         constants = [situation.gamma]
         if isinstance(situation.base, NaturalDamping) and situation.eta is not None:
             constants.append(situation.eta)
@@ -230,6 +246,7 @@ class _Work:
 
 _MAKERS = {
     "equilibrium": _Work.unassignable,
+    "saturation": _Work.limited,
     "assumption-3": _Work.undamped_output,
     "asymptotically-stable": _Work.local,
     "globally-asymptotically-stable": _Work.everywhere,

@@ -9,8 +9,8 @@ from typing import Any
 from flint import fmpq
 
 from pbcgen.reading.system import System, require
-from pbcgen.symbolic.plain.boxes import shown
-from pbcgen.symbolic.plain.elimination import Elimination
+from pbcgen.symbolic.plain.boxes import Box, shown
+from pbcgen.symbolic.plain.elimination import Elimination, put_in
 from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import Matrix, dot, plus
 from pbcgen.symbolic.plain.values import (
@@ -24,6 +24,8 @@ from pbcgen.symbolic.plain.values import (
     partial,
     plain,
 )
+
+_AMPLITUDES = ("alpha", "alpha_c", "alpha_l", "alpha_psi", "k_p")
 
 
 class Sums(System):
@@ -126,6 +128,40 @@ class Sums(System):
         box = [(lo, hi) for lo, hi in (self.model.domain[self.states[j]] for j in used)]
         require(shown(tree, box, value, at), "the boxes do not show that a function is nonnegative")
         return self.placed[place]
+
+    @property
+    def rooms(self) -> list[Any]:
+        """What is left to each limit of the inputs when every tanh is at its worst."""
+        present = [self.model.gains[name][0] for name in _AMPLITUDES if name in self.model.gains]
+        sizes = [sum(column, fmpq(0)) for column in zip(*present, strict=True)]
+        held = self.force if self.compensated else self.point[1]
+        left = [b - dot(row, held) - dot([abs(a) for a in row], sizes) for row, b in self.model.limits]
+        return [self.field.lift(v) for v in left] if self.compensated else left
+
+    def on_period(self, function: Any) -> tuple[Box, Callable[[Sequence[Any]], Any]]:
+        """A box that holds a period of each angle that a function depends on, and the function of these angles.
+
+        All states must occur inside sines and cosines, each with one frequency.
+        """
+        field, degrees = self.field, function.top.degrees()
+        frequencies: dict[int, Any] = {}
+        atoms = [*field.atoms.items()]
+        for (kind, _, _), a in (atoms[field.pool - 1 - k] for k in range(field.pool) if degrees[k]):
+            used = [k for k, e in enumerate(a.top.degrees()) if e]
+            frequency = abs(a.top.leading_coefficient() / a.bottom.leading_coefficient())
+            linear = len(a.top) == 1 == a.top.total_degree() and used[0] >= field.pool and a.bottom.is_constant()
+            if kind not in ("sin", "cos") or not linear or frequencies.setdefault(used[0], frequency) != frequency:
+                raise NotCheckable("a function is not periodic in its states")
+        if any(degrees[field.pool :]) or not function.bottom.is_constant():
+            raise NotCheckable("a function is not periodic in its states")
+        order = sorted(frequencies)
+
+        def value(x: Sequence[Any]) -> Any:
+            place = dict(zip(order, x, strict=True))
+            return put_in(field, function, [place.get(field.pool + k, fmpq(0)) for k in range(len(field.symbols))])
+
+        halves = [fmpq(22, 7) / frequencies[k] for k in order]  # 22/7 > pi
+        return [(-half, half) for half in halves], value
 
     def on_box(self, claim: str) -> bool:
         """Whether the claim is stated on the domain of the model."""

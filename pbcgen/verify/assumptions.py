@@ -9,12 +9,11 @@ from flint import fmpq
 
 from pbcgen.reading.sums import Sums
 from pbcgen.reading.system import require
+from pbcgen.symbolic.plain.boxes import shown
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, is_definite, plus, product, transpose
 from pbcgen.symbolic.plain.values import NotCheckable, plain, sign, variables
-
-_AMPLITUDES = ("alpha", "alpha_c", "alpha_l", "alpha_psi", "k_p")
 
 _EVERYWHERE = {
     *("assumption-1", "passive-output", "assumption-3", "theta", "gain-definiteness", "measurability"),
@@ -222,48 +221,48 @@ class Assumptions(Sums):
         v = self.given("theta", "v")
         require(sign(dot(v, [dot(row, v) for row in self.theta])) == -1, "the direction does not show it")
 
-    def proved_measurability(self) -> None:
-        """What the law reads is a function of what is measured, up to a constant."""
+    @property
+    def signals(self) -> dict[str, list[Any]]:
+        """What the law reads, as functions of the state."""
         signals = {"gamma": self.column("gamma")}
         if "natural-damping" in self.law:
             signals["eta"] = self.column("eta")
         if self.compensated:
             signals["potential"] = self.force
         if "passive-output" in self.law:
-            signals |= {
-                "drift": [row[0] for row in self.rate("gamma")],
-                "feedthrough": [v for row in self.rate("gamma") for v in row[1:]],
-            }
+            signals["drift"] = [row[0] for row in self.rate("gamma")]
+            signals["feedthrough"] = [v for row in self.rate("gamma") for v in row[1:]]
+        return signals
+
+    def proved_measurability(self) -> None:
+        """What the law reads is a function of what is measured, up to a constant."""
         values = self.readings.walk(self.field.lift, {"measured": self.column("measurement")})
-        for name, wanted in signals.items():
+        for name, wanted in self.signals.items():
             pairs = zip(wanted, self.readings.matrix(name, values), strict=True)
             require(all((a - b).number() is not None for a, (b,) in pairs), f"{name} is not what is read")
         self.zero([], "")
 
     def refuted_measurability(self) -> None:
-        """A direction that no sensor sees, but gamma or eta does."""
-        v = self.given("measurability", "v")
+        """A direction that no sensor sees, but the law does."""
+        v, z = self.given("measurability", "v"), [*self.point[0], *self.point[1]]
         seen = self.jacobian(self.star["measurement"])
-        needed = [row for name in ("gamma", "eta") if name in self.star for row in self.jacobian(self.star[name])]
         require(all(sign(dot(row, v)) == 0 for row in seen), "the sensors see this direction")
-        require({1, -1} & {sign(dot(row, v)) for row in needed}, "the law does not need this direction")
-
-    @property
-    def slacks(self) -> list[int | None]:
-        """Signs of what is left to each limit when every tanh is at its worst."""
-        present = [self.model.gains[name][0] for name in _AMPLITUDES if name in self.model.gains]
-        sizes, centres = [sum(column, fmpq(0)) for column in zip(*present, strict=True)], self.point[1]
-        if self.compensated:
-            ranges = [self.field.bound(force) for force in self.force]
-            centres, sizes = [c for c, _ in ranges], [a + r for a, (_, r) in zip(sizes, ranges, strict=True)]
-        return [sign(b - dot(row, centres) - dot([abs(a) for a in row], sizes)) for row, b in self.model.limits]
+        changes = (dot(slopes(self.field, w)[: self.n], v) for part in self.signals.values() for w in part)
+        needed = {sign(put_in(self.field, self.field.lift(change), z)) for change in changes}
+        require({1, -1} & needed, "the law does not need this direction")
 
     def proved_saturation(self) -> None:
-        """Every input stays within its limits."""
-        if self.compensated and not {0, 1} >= {*self.slacks}:
-            raise NotCheckable("grad V is not bounded closely enough by its terms")
-        require({0, 1} >= {*self.slacks}, "an input may leave its limits")
+        """Every input stays within its limits: what compensates a force by bounds of its terms, or on a period."""
+        trees = self.witness["saturation"].get("trees", {})
+        for k, room in enumerate(self.rooms):
+            if str(k) in trees:
+                require(shown(trees[str(k)], *self.on_period(room), {}), "the boxes do not show that an input fits")
+            else:
+                least, size = self.field.bound(room) if self.compensated else (room, fmpq(0))
+                if self.compensated and least < size:
+                    raise NotCheckable("grad V is not bounded closely enough by its terms")
+                require(sign(least - size) in (0, 1), "an input may leave its limits")
 
     def refuted_saturation(self) -> None:
         """A limit is exceeded when the tanh terms are close to one."""
-        require(not self.compensated and -1 in self.slacks, "no input certainly leaves its limits")
+        require(not self.compensated and -1 in map(sign, self.rooms), "no input certainly leaves its limits")

@@ -11,7 +11,7 @@ import pytest
 from certificates import IDLE, certificate_of, outcomes, signed, spoiled
 from designs import DESIGNS
 
-from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical, NaturalDamping
+from pbcgen import AffineSystem, Design, DynamicExtension, Limits, Mechanical, NaturalDamping
 from pbcgen.control import stability_witness
 from pbcgen.control.certificate import certificate
 from pbcgen.control.derive import derive
@@ -488,3 +488,37 @@ def test_an_output_that_nothing_damps_is_refuted_again():
     for entry in good["claims"]:
         entry.update({"status": "REFUTED", "witness": found} if entry["claim"] == claim else {})
     assert outcomes(signed(good | {"terms": document["terms"]}))[claim] == "fails"
+
+
+def _arm_within(first, second):
+    arm = DESIGNS["two_links"]()
+    return arm.with_(limits=Limits([(-first, first), (-second, second)]))
+
+
+def test_a_compensated_force_is_bounded_over_a_period():
+    """``10 cos q1 + 5 cos(q1 + q2)`` is at most 15, its terms at most 20; the law adds 20 and 10."""
+    claim, document = "saturation", _written_for(_arm_within(36, 16))
+    assert status(document, claim) == "PROVED"
+    assert outcomes(document)[claim] == "checked"
+    trees = witness(document, claim)["trees"]
+    assert {*trees} == {"0", "1", "2", "3"}
+    for k, tree in trees.items():
+        for other in (tree[:-1], tree + ".", ".", "", "c" + tree[1:], tree.replace("a", "b", 1)):
+            assert outcomes(with_witness(document, claim, trees=trees | {k: other}))[claim] == "fails", (k, other)
+    assert outcomes(with_witness(document, claim, trees={}))[claim] == "recorded"
+    for limit in ("limit u_1 -36 36", "limit u_2 -16 16"):
+        assert limit in document["model"]
+        tighter = limit.replace("36", "35").replace("16", "15").replace("35 35", "34 34").replace("15 15", "14 14")
+        changed = document | {"model": [line.replace(limit, tighter) for line in document["model"]]}
+        assert outcomes(signed(changed))[claim] == "fails"
+
+
+def test_a_drift_that_the_law_needs_and_no_sensor_sees_is_shown():
+    """The law that measures its passive output needs the rate of gamma too."""
+    design = DESIGNS["buck_converter_full"]()
+    i, v, u = (ca.SX.sym(name) for name in ("i", "v", "d"))
+    f = [-v / 0.5, (i - v / 3) / 0.2]
+    system = AffineSystem([i, v], [u], f, [20, 0], 0.25 * i**2 + 0.1 * v**2, measured=["i"], gamma=[10 * i])
+    document = _written_for(Design(system, {"v": 5}, design.law, sample_period="1e-3", name="blind"))
+    assert outcomes(document)["measurability"] in ("checked", "open")
+    assert "fails" not in outcomes(document).values()
