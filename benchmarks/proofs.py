@@ -3,7 +3,7 @@
     python benchmarks/proofs.py [family ...]
 
 Families: references, ladder, chain, arm, black-box, lasalle, region; all if none is named. Prints the seconds of
-processor time, the memory that was added, and between consecutive sizes the exponent of growth. Run it with
+processor time, the memory that was added, and between consecutive sizes the exponents of growth. Run it with
 OPENBLAS_NUM_THREADS=1: more threads only add to the processor time.
 """
 
@@ -14,6 +14,7 @@ import resource
 import sys
 from collections.abc import Callable
 from importlib import import_module
+from multiprocessing import get_context
 from time import process_time
 
 import casadi as ca
@@ -140,7 +141,7 @@ def lasalle(n: int) -> Design:
 
 
 FAMILIES: dict[str, tuple[Callable[[int], Design], tuple[int, ...]]] = {
-    "ladder": (ladder, (20, 50, 100, 200)),
+    "ladder": (ladder, (50, 100, 200, 400)),
     "chain": (chain, (20, 50, 100, 200)),
     "arm": (arm, (2, 3, 5, 7, 10)),
     "black-box": (black_box, (2, 3, 4, 5)),
@@ -159,17 +160,28 @@ def proved(report: Report) -> str:
     return f"{len(report.claims) - len(others)} of {len(report.claims)} proved" + "".join(f", {o}" for o in others)
 
 
+def measured(make: Callable[[int], Design], n: int) -> tuple[float, float, str]:
+    """Seconds of processor time, megabytes that were added, and the verdicts."""
+    design, used, start = make(n), memory(), process_time()
+    report = check(design)
+    return process_time() - start, memory() - used, proved(report)
+
+
 def growth(make: Callable[[int], Design], sizes: tuple[int, ...]) -> None:
-    """A line for each size, with the exponent against the size before."""
+    """A line for each size, in a process of its own, with the exponents against the size before."""
     print(f"\n{make(sizes[0]).system.name}, all checks")
-    before: tuple[int, float] | None = None
+    before: tuple[int, float, float] | None = None
     for n in sizes:
-        design, used, start = make(n), memory(), process_time()
-        report = check(design)
-        seconds = process_time() - start
-        exponent = "" if before is None else f"  n^{math.log(seconds / before[1]) / math.log(n / before[0]):.1f}"
-        print(f"  n = {n:4d}  {seconds:.2f} s{exponent}  +{memory() - used:.0f} MB; {proved(report)}", flush=True)
-        before = n, seconds
+        with get_context("fork").Pool(1) as alone:
+            seconds, added, verdicts = alone.apply(measured, (make, n))
+        exponents = ""
+        if before is not None:
+            step = math.log(n / before[0])
+            exponents = f"  n^{math.log(seconds / before[1]) / step:.1f}"
+            if min(added, before[2]) >= 1:
+                exponents += f", memory n^{math.log(added / before[2]) / step:.1f}"
+        print(f"  n = {n:4d}  {seconds:.2f} s  +{added:.0f} MB{exponents}; {verdicts}", flush=True)
+        before = n, seconds, added
 
 
 def references() -> None:

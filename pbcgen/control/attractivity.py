@@ -471,7 +471,7 @@ def _second_equilibrium(situation: Situation) -> Claim | None:
     spread = np.full(n + system.m, 10.0)
     around = Search(star - spread, star + spread, starts=_with_gamma_kept(situation, star), samples=_STARTS)
     tape = Tape.of([*plant.symbols, at_star], [residual, jacobian])
-    parameters: list[Real] = [rational(plant.values[name]) for name in plant.parameter_names]
+    parameters: list[Real] = [rational(v) for v in plant.parameter_values]
 
     def in_balls(values: list[Real]) -> tuple[list[Real], list[list[Real]]]:
         value, slope = (v.dense(ZERO) for v in tape.walk(REAL, [values[:n], values[n:], parameters, constants]))

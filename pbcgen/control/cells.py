@@ -148,7 +148,7 @@ class Loops:
             period,
             delay,
             (*point.x, *point.u) if moving is None else (),
-            tuple(reals([plant.values[name] for name in plant.parameter_names])),
+            tuple(reals(plant.parameter_values)),
             tuple(value for _, value in graph.constants),
             Tape.of(inputs, [*results, *slopes]),
             len(results),

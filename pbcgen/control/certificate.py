@@ -84,7 +84,7 @@ def _formulas(derivation: Derivation) -> Writing:
         named |= {"matrix": structure.matrix, "remainder": structure.remainder}
     present = {name: ca.SX(e) for name, e in named.items() if e is not None and e.numel()}
     writing = Writing()
-    constants = [plant.values[name] for name in plant.parameter_names[len(plant.system.parameters.names) :]]
+    constants = [*plant.parameter_values[len(plant.system.parameters.names) :]]
     found = writing.tape(plant.tape(*present.values()), ["state", "input", "parameter"], {2: constants})
     for name, matrix in zip(present, found, strict=True):
         writing.output(name, matrix.shape, matrix.entries)

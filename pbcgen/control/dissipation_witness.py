@@ -76,7 +76,7 @@ def _as_written(plant: Plant, gamma: ca.SX, boxes: Boxes, terms: Writing) -> lis
         return None
     system = plant.system
     loss = -ca.dot(ca.gradient(system.S, system.x), system.f)
-    constants = tuple(plant.values[name] for name in plant.parameter_names)
+    constants = plant.parameter_values
     (matrix,) = terms.tape(Tape.of([system.x, plant.parameter_symbols], [loss]), ["state", "parameter"], {1: constants})
     place = matrix.entries.get((0, 0))
     formula = Formula(loss, system.x, plant.parameter_symbols, constants)

@@ -194,7 +194,7 @@ def saturated_loop(found: Derivation) -> SaturatedLoop | None:
         tape,
         numbers.values,
         [*point.x, *[ZERO] * (len(names) - n)],
-        reals([plant.values[name] for name in found.plant.parameter_names]),
+        reals(plant.parameter_values),
         n,
         beta,
         tuple(range(n, len(names))),
@@ -222,7 +222,7 @@ def _lift(found: Derivation, moved: ca.SX, numbers: _Numbers) -> Array | None:
     if ca.depends_on(ca.vec(slope), system.x):
         return None
     inputs = [found.plant.parameter_symbols, ca.vertcat(*numbers.symbols)]
-    values = [[float(found.plant.values[name]) for name in found.plant.parameter_names], numbers.floats()]
+    values = [[float(v) for v in found.plant.parameter_values], numbers.floats()]
     return np.vstack([np.eye(system.n), np.array(ca.Function("slope", inputs, [ca.densify(slope)])(*values))])
 
 
@@ -233,7 +233,7 @@ def _start(found: Derivation, moved: ca.SX, numbers: _Numbers) -> Array:
     parameters = found.plant.parameter_symbols
     signals = ca.Function("signals", [system.x, parameters, ca.vertcat(*numbers.symbols)], [moved])
     values = [
-        [float(found.plant.values[name]) for name in found.plant.parameter_names],
+        [float(v) for v in found.plant.parameter_values],
         numbers.floats(),
     ]
     start, star = [float(v) for v in found.design.initial], [approximate(v) for v in found.point.x]

@@ -162,7 +162,7 @@ class _Work:
         if found is None or not found.free or found.pending:
             return None
         values = ca.vertcat(*found.solved.values()) if found.solved else ca.SX(0, 1)
-        numbers = {2: [plant.values[name] for name in plant.parameter_names]}
+        numbers = {2: [*plant.parameter_values]}
         (places,) = self.terms.tape(plant.tape(ca.densify(values)), ["state", "input", "parameter"], numbers)
         zero = self.terms.put("constant 0")
         return {"set": {str(k): places.entries.get((i, 0), zero) for i, k in enumerate(found.solved)}}

@@ -239,7 +239,7 @@ def _witness(
     expressions = [value if isinstance(value, ca.SX) else plant.expression(value)]
     conditions = [plant.expression(w) for w in finite if w.constant() is None]
     tape = Tape.of(plant.symbols, [*expressions, ca.vertcat(ca.SX(0, 1), *conditions)])
-    parameters = [rational(plant.values[name]) for name in plant.parameter_names]
+    parameters = [rational(v) for v in plant.parameter_values]
     for shift in range(len(WEIGHTS)):
         x: list[Real] = [ZERO] * system.n
         for k in places.free:

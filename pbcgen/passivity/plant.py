@@ -85,6 +85,12 @@ class Plant:
         constants = {_constant_name(value): value for value in self._constants}
         return {**self.system.parameters.values, **constants}
 
+    @property
+    def parameter_values(self) -> tuple[Fraction, ...]:
+        """The exact values of :attr:`parameter_names`, in their order."""
+        values = self.values
+        return tuple(values[name] for name in self.parameter_names)
+
     def number(self, value: Fraction) -> ca.SX:
         """An exact number for use in expressions.
 
@@ -132,15 +138,13 @@ class Plant:
 
     def walk(self, tape: Tape, x: Sequence[Real], u: Sequence[Real]) -> list[list[list[Real]]]:
         """The outputs of a tape of (x, u, parameters) at the current precision."""
-        values = self.values
-        parameters = reals([values[name] for name in self.parameter_names])
+        parameters = reals(self.parameter_values)
         return [matrix.dense(ZERO) for matrix in tape.walk(REAL, [list(x), list(u), parameters])]
 
     def numeric(self, *outputs: ca.SX) -> ca.Function:
         """A floating-point function (x, u) -> outputs at the parameter values."""
         x, u, parameters = self.symbols
-        numbers = self.values
-        values = ca.DM([float(numbers[name]) for name in self.parameter_names])
+        values = ca.DM([float(v) for v in self.parameter_values])
         at_values = [ca.substitute(ca.SX(o), parameters, values) if values.numel() else ca.SX(o) for o in outputs]
         return ca.Function("numeric", [x, u], at_values)
 

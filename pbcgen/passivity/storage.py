@@ -148,7 +148,7 @@ def _on_box(
     box = [(lo, hi) for lo, hi in region.bounds if lo is not None and hi is not None]
     if len(box) < plant.system.n:
         return False
-    values = tuple(plant.values[name] for name in plant.parameter_names)
+    values = plant.parameter_values
     formula = Formula(-_rate(plant), plant.system.x, plant.parameter_symbols, values)
     zeros = zero_set(formula, plant.system.state_names, [Fraction(0)] * plant.system.n)
     return nonnegative_on_box(formula, tuple(box), budget, zeros).status is Status.PROVED

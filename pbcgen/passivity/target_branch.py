@@ -160,7 +160,7 @@ class Branch:
 
     def _values(self, p: Sequence[Real], z: Sequence[Real]) -> tuple[list[Real], RealMatrix, RealMatrix, RealMatrix]:
         """F, F_z, F_p and the rows of F_zz."""
-        parameters = reals([self.plant.values[name] for name in self.plant.parameter_names])
+        parameters = reals(self.plant.parameter_values)
         F, F_z, F_p, F_zz = self._tape.walk(REAL, [list(p), list(z), parameters])  # type: ignore[attr-defined]
         return [row[0] for row in F.dense(ZERO)], F_z.dense(ZERO), F_p.dense(ZERO), F_zz.dense(ZERO)
 
@@ -250,7 +250,7 @@ def _halves(
 
 
 def _float_system(plant: Plant, p: ca.SX, z: ca.SX, equations: ca.SX) -> _FloatSystem:
-    numbers = ca.DM([float(plant.values[name]) for name in plant.parameter_names])
+    numbers = ca.DM([float(v) for v in plant.parameter_values])
     symbols = plant.parameter_symbols
     F = ca.substitute(equations, symbols, numbers) if symbols.numel() else equations
     return _FloatSystem(ca.Function("equations", [p, z], [ca.densify(F), ca.densify(ca.jacobian(F, z))]))

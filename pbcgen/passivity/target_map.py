@@ -108,7 +108,7 @@ class TargetMap:
 
     def walk(self, tape: Tape, values: Sequence[Real]) -> list[list[Real]]:
         """The columns of a tape at given values, exact or enclosed, at the current precision."""
-        parameters = reals([self.plant.values[name] for name in self.plant.parameter_names])
+        parameters = reals(self.plant.parameter_values)
         inputs = [list(values), self.hidden_at(values), parameters]
         return [[row[0] for row in m.dense(ZERO)] for m in tape.walk(REAL, inputs)]
 
@@ -116,7 +116,7 @@ class TargetMap:
         """The expression in the adjustable values alone: steps written out, parameters rounded to doubles."""
         if self.branch is not None:
             expression = ca.substitute(expression, self.branch.z, self.branch.formula)
-        values = ca.DM([float(self.plant.values[name]) for name in self.plant.parameter_names])
+        values = ca.DM([float(v) for v in self.plant.parameter_values])
         symbols = self.plant.parameter_symbols
         return ca.substitute(expression, symbols, values) if symbols.numel() else expression
 

@@ -30,7 +30,7 @@ def lyapunov(derivation: Derivation) -> ca.Function | None:
     xi = ca.SX.sym("xi", d.graph.xi.numel())
     total = _storage(d) + _filters(d, d.law, xi)
     symbols = d.plant.parameter_symbols
-    values = np.array([float(d.plant.values[name]) for name in d.plant.parameter_names])
+    values = np.array([float(v) for v in d.plant.parameter_values])
     at_values = ca.substitute(total, symbols, values) if len(values) else total
     return _from_rest(ca.Function("S_d", [system.x, xi], [at_values], ["x", "xi"], ["S_d"]), d)
 
