@@ -84,6 +84,7 @@ def test_an_unstable_setting_between_stable_corners_is_a_counterexample() -> Non
 def test_the_narrower_range_of_an_open_claim_is_proved(monkeypatch) -> None:
     design = load("pera").with_(gain_ranges={"beta": [(40, 150), (50, 180), (40, 150)]})
     monkeypatch.setattr("pbcgen.control.box._CELLS", 30)
+    monkeypatch.setattr("pbcgen.control.box._SHARE_CELLS", 40)
     claim = adjustable(design)
     assert claim.status is Status.UNDECIDED
     ranges = [tuple(part.split("]")[0].split(", ")) for part in claim.hint.split("[")[1:]]
@@ -242,7 +243,8 @@ def test_a_delay_that_makes_some_setting_unstable_refutes_the_claim() -> None:
     assert claims["sampled-stable"] is not Status.PROVED
 
 
-def test_periods_that_vary_too_much_are_not_proved() -> None:
+def test_periods_that_vary_too_much_are_not_proved(monkeypatch) -> None:
+    monkeypatch.setattr("pbcgen.control.box._SHARES", ())
     claim = _adjustable_with(RLC.with_(gain_ranges={"alpha": ("0.04", "0.0485")}), jitter="9/10")
     assert claim.status is not Status.PROVED
 
