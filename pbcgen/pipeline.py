@@ -12,6 +12,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,6 @@ from pbcgen.control.closed_loop import ClosedLoop
 from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.law import ControlLaw
 from pbcgen.control.sampled import Sampling
-from pbcgen.control.solves import with_tanh
 from pbcgen.control.stability import LYAPUNOV
 from pbcgen.emit import Extras, Package, Provenance, render
 from pbcgen.errors import EmitError, ModelError, NotProved
@@ -48,22 +48,31 @@ class Report:
         design: the design that was checked.
         claims: one verdict for each claim that concerns the law, in the order of CLAIMS.
         derived: the keys of the JSON document's ``derived`` (kappa, gamma, ...); formulas as strings.
-        control: the discretised law, or None when the derivation stopped before it.
-        loop: plant and continuous law for simulation, or None likewise.
+        writable: whether there is a law that can be computed in the precision of the code.
+        loop: plant and continuous law for simulation, or None when the derivation stopped before it.
         model_hash: SHA-256 of the canonical text of the design.
         timings: seconds of each stage.
         unwritable: why the law cannot be computed in the precision of the code; empty if it can.
+        tanh: how the code computes tanh; None for what the precision suggests.
     """
 
     design: Design
     claims: tuple[Claim, ...]
     derived: Mapping[str, Any]
-    control: ControlLaw | None
+    writable: bool
     loop: ClosedLoop | None
     model_hash: str
     timings: Mapping[str, float]
     derivation: Derivation
     unwritable: str = ""
+    tanh: Tanh | None = None
+
+    @cached_property
+    def control(self) -> ControlLaw | None:
+        """The discretised law, or None; made when it is asked for, since fitting its loop equation takes a while."""
+        if not self.writable:
+            return None
+        return self.derivation.control_law(self.design.sample_period, self.design.precision, self.tanh)
 
     def __repr__(self) -> str:
         proved = sum(c.status is Status.PROVED for c in self.claims)
@@ -80,7 +89,7 @@ class Report:
     @property
     def emittable(self) -> bool:
         """Whether code may be generated without ``--allow``."""
-        return self.control is not None and not self.blocking()
+        return self.writable and not self.blocking()
 
     def as_json(self) -> dict[str, Any]:
         """The document of ``pbcgen check --json``."""
@@ -138,16 +147,16 @@ def check(design: Design, progress: Progress = None, sampling: Sampling | None =
     except ModelError as error:
         raise located(error, design.call, design.system.call) from error.__cause__
     timings = {**derivation.timings, "total": perf_counter() - start}
-    control, unwritable = None, ""
+    writable, unwritable = False, ""
     try:
-        control = derivation.control_law(design.sample_period, design.precision)
+        writable = derivation.control_law(design.sample_period, design.precision, "libm") is not None
     except EmitError as error:
         unwritable = str(error)
     return Report(
         design,
         derivation.claims,
         derivation.derived,
-        control,
+        writable,
         derivation.loop,
         model_hash(design),
         {name: round(seconds, 6) for name, seconds in timings.items()},
@@ -222,9 +231,7 @@ def measured(report: Report, rendered: Package, names: Sequence[str], progress: 
 
 def _with_tanh(report: Report, tanh: Tanh | None) -> Report:
     """The report with another tanh in its law."""
-    if tanh is None or report.control is None:
-        return report
-    return replace(report, control=with_tanh(report.control, tanh))
+    return report if tanh is None else replace(report, tanh=tanh)
 
 
 def certificate(report: Report) -> str:

@@ -137,7 +137,7 @@ def _package(report: Report, settings: options.Settings, wishes: Wishes, tell: C
     """The package that `generate` would write, or None while claims are open."""
     from pbcgen import pipeline
 
-    if report.control is None or report.blocking(settings.allow):
+    if not report.writable or report.blocking(settings.allow):
         return None
     rendered = pipeline.package(report, allow=settings.allow)
     if not wishes.targets:

@@ -165,7 +165,7 @@ def next_steps(report: Report, model: str) -> list[str]:
         return [f"Next: pbcgen generate {model} -o {report.design.name}_c"]
     lines = [f"Next: change the model as the hints say, then pbcgen check {model}"]
     blocking = report.blocking()
-    if report.control is not None and blocking and all(c.status is Status.UNDECIDED for c in blocking):
+    if report.writable and blocking and all(c.status is Status.UNDECIDED for c in blocking):
         allowed = " ".join(f"--allow {c.claim}" for c in blocking)
         lines.append(f"  or go on without a proof: pbcgen generate {model} -o {report.design.name}_c {allowed}")
     return lines

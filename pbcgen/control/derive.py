@@ -16,6 +16,7 @@ from pbcgen.control.box import box_claim
 from pbcgen.control.closed_loop import ClosedLoop, until_settled
 from pbcgen.control.family import LoopFamily
 from pbcgen.control.graph import Interface, LawGraph, Needs, build, control_law, needs
+from pbcgen.control.hyperbolic import Tanh
 from pbcgen.control.law import ControlLaw, Precision, Signal
 from pbcgen.control.measure import Measurement
 from pbcgen.control.sampled import Sampling
@@ -92,11 +93,11 @@ class Derivation:
     def __repr__(self) -> str:
         return f"<Derivation of {self.design.name}>"
 
-    def control_law(self, h: Fraction, precision: Precision) -> ControlLaw | None:
+    def control_law(self, h: Fraction, precision: Precision, tanh: Tanh | None = None) -> ControlLaw | None:
         """The law discretised with sample period h, or None when there is no law to discretise."""
         if self.graph is None or self.interface is None:
             return None
-        return control_law(self.graph, self.interface, h, precision)
+        return control_law(self.graph, self.interface, h, precision, tanh)
 
     def relaw(self, h: Fraction) -> ControlLaw:
         """The law discretised with another sample period, in double precision."""

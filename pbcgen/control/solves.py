@@ -53,10 +53,10 @@ def choose_solves(
 
 
 def _scalar(index: int, mu: Fraction | None, precision: Precision, tanh: Tanh, largest: Fraction) -> ScalarSolve:
-    if mu is not None and mu > 0 and precision == "float" and tanh == "fast":
+    if mu is not None and mu > 0:
         what = f"mu = N[{index}, {index}] of the loop equation (a product of h, alpha, beta and R)"
         rounded = Fraction(float(nearest(mu, precision, what)))
-        fit = fitted_solve(rounded)
+        fit = fitted_solve(rounded) if precision == "float" and tanh == "fast" else None
         if fit is not None:
             return ScalarSolve(index, 0, fit.error_bound, fit)
     bound = scalar_iterations(largest * _ROUNDED if mu is None else mu, precision)

@@ -22,7 +22,7 @@ def claim(name: str, status: Status = Status.PROVED) -> Claim:
     )
 
 
-def report(*, control: object = "a law", **statuses: Status) -> Report:
+def report(*, writable: bool = True, **statuses: Status) -> Report:
     """A report on `rlc`; ``theta=Status.REFUTED`` changes a verdict (with _ for -)."""
     named = {name.replace("_", "-"): status for name, status in statuses.items()}
     return Report(
@@ -42,7 +42,7 @@ def report(*, control: object = "a law", **statuses: Status) -> Report:
             "spectral_abscissa": float("nan"),
             "max_sample_period": 3.8e-4,
         },
-        control=control,  # type: ignore[arg-type]
+        writable=writable,
         loop=None,
         model_hash="0" * 64,
         timings={"derive": 0.5},

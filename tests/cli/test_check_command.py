@@ -99,10 +99,10 @@ def test_a_claim_that_code_does_not_need_does_not_block(check):
 
 
 def test_a_derivation_that_stopped_offers_no_way_round(check):
-    code, text = check(control=None, equilibrium=REFUTED)
+    code, text = check(writable=False, equilibrium=REFUTED)
     assert code == 2
     assert "--allow" not in text
-    code, text = check(control=None)
+    code, text = check(writable=False)
     assert code == 2
     assert "No code: the derivation stopped" in text
 

@@ -27,7 +27,6 @@ from pbcgen.control.hyperbolic import (
     fast_cosh,
     fast_tanh,
 )
-from pbcgen.control.solves import with_tanh
 from pbcgen.models.loader import load
 
 PRECISIONS = pytest.mark.parametrize(("precision", "dtype"), [("float", np.float32), ("double", np.float64)])
@@ -131,7 +130,7 @@ def test_every_float_is_within_the_stated_bounds(flags, tmp_path):
 @pytest.mark.system
 def test_every_float_of_the_math_library_is_as_near_as_stated_and_at_most_one(tmp_path):
     report = pipeline.check(load("rlc"))
-    package = pipeline.package(replace(report, control=with_tanh(report.control, "libm")))
+    package = pipeline.package(replace(report, tanh="libm"))
     assert "2.2 units in the last place" in package.files["README.md"]
     for name in ("rlc.h", "rlc.c"):
         (tmp_path / name).write_text(package.files[name])
