@@ -284,3 +284,14 @@ def test_gains_that_no_float_holds_leave_the_verdicts_and_say_why(tmp_path):
     assert "does not fit a float: choose double precision" in report.unwritable
     with pytest.raises(EmitError, match="a product of h, alpha, beta and R"):
         pipeline.generate(design, tmp_path)
+
+
+def test_formulas_show_numbers_of_the_model_and_not_their_symbols():
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
+    S = 0.7 * x[0] ** 2 / 2 + 0.3 * x[1] ** 2
+    F = ca.SX([[-1, 1], [-1, -0.4]])
+    system = AffineSystem(x, u, F @ ca.gradient(S, x), [0, 1], S, measured={"a": x[0], "b": x[1]})
+    law = DynamicExtension(alpha=1, beta=1, K_c=1, R_c=1)
+    (gamma,) = pipeline.check(Design(system, {"x_0": 1}, law, sample_period="1e-2")).derived["gamma"]
+    assert "c_" not in gamma
+    assert [eval(gamma, {"x_0": a, "x_1": b}) for a, b in ((1, 0), (0, 1))] == pytest.approx([1 / 1.4] * 2)

@@ -252,7 +252,9 @@ def _formulas(plant: Plant, output: PassiveOutputResult | None, eta: ca.SX | Non
         except (UnsupportedOperation, ZeroDivisionError):
             result[name] = [str(e) for e in ca.vertsplit(expression)]
             continue
-        result[name] = [formula(v, plant.parameter_positions()) for v in values.column(field.const(0))]
+        result[name] = [
+            formula(v, plant.parameter_positions(), plant.number_positions()) for v in values.column(field.const(0))
+        ]
     return result
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_OWN_NAMES = frozenset({"names", "values", "symbols", "numeric", "with_values"})
+_OWN_NAMES = frozenset({"names", "numbers", "values", "symbols", "numeric", "with_values"})
 
 
 class Parameters:
@@ -28,8 +28,9 @@ class Parameters:
     fraction 11/50000. A float is read as its shortest decimal: ``0.1`` is 1/10.
     """
 
-    __slots__ = ("_symbols", "_values")
+    __slots__ = ("_numbers", "_symbols", "_values")
 
+    _numbers: frozenset[str]
     _symbols: Mapping[str, ca.SX]
     _values: Mapping[str, Fraction]
 
@@ -46,6 +47,7 @@ class Parameters:
         exact_values = {name: exact(value, f"the parameter `{name}`") for name, value in values.items()}
         object.__setattr__(self, "_symbols", {name: ca.SX.sym(name) for name in exact_values})
         object.__setattr__(self, "_values", exact_values)
+        object.__setattr__(self, "_numbers", frozenset())
 
     def __getattr__(self, name: str) -> ca.SX:
         """The symbol of a parameter."""
@@ -93,6 +95,11 @@ class Parameters:
         return MappingProxyType(dict(self._values))
 
     @property
+    def numbers(self) -> frozenset[str]:
+        """The names that stand for numbers in the model's expressions; formulas show the numbers instead."""
+        return self._numbers
+
+    @property
     def symbols(self) -> ca.SX:
         """The symbols as an SX column, in the order of ``names``."""
         return ca.vertcat(*self._symbols.values()) if self._symbols else ca.SX(0, 1)
@@ -111,10 +118,14 @@ class Parameters:
         copy = Parameters()
         object.__setattr__(copy, "_symbols", self._symbols)
         object.__setattr__(copy, "_values", {**self._values, **changed})
+        object.__setattr__(copy, "_numbers", self._numbers)
         return copy
 
     def joined(self, **values: Number) -> Parameters:
-        """A copy with further parameters. Raises ModelError for a name that is taken or a value that is no number."""
+        """A copy with parameters for numbers of the model's expressions.
+
+        Raises ModelError for a name that is taken or a value that is no number.
+        """
         for name in values:
             if name in self._symbols:
                 raise ModelError(f"there is a parameter `{name}` already")
@@ -122,6 +133,7 @@ class Parameters:
         copy = Parameters()
         object.__setattr__(copy, "_symbols", {**self._symbols, **added._symbols})
         object.__setattr__(copy, "_values", {**self._values, **added._values})
+        object.__setattr__(copy, "_numbers", self._numbers | added._symbols.keys())
         return copy
 
     def _unknown(self, name: object) -> str:

@@ -147,7 +147,8 @@ def _annihilated(plant: Plant, drift: ca.SX, inputs: ca.SX) -> list[str]:
                 if free in row:
                     total = total - row[free] * rest[int(str(pivot))]
             if not total.is_zero():
-                equations.append(f"{formula(field.polynomial(total.numerator), plant.parameter_positions())} = 0")
+                text = formula(field.polynomial(total.numerator), plant.parameter_positions(), plant.number_positions())
+                equations.append(f"{text} = 0")
     except (UnsupportedOperation, ZeroDivisionError):
         return []
     return equations

@@ -131,6 +131,11 @@ class Plant:
         count = self.system.n + self.system.m
         return frozenset(range(count, count + len(self.system.parameters.names)))
 
+    def number_positions(self) -> dict[int, Fraction]:
+        """Positions among :attr:`names` of the parameters that stand for numbers, and these numbers."""
+        parameters, count = self.system.parameters, self.system.n + self.system.m
+        return {count + k: parameters.values[name] for k, name in enumerate(parameters) if name in parameters.numbers}
+
     def at(self, point: Point, *outputs: ca.SX) -> list[list[list[Real]]]:
         """The outputs at a point as dense matrices of exact numbers or balls."""
         with precision(BITS):
