@@ -112,11 +112,11 @@ class Routes:
     def largest(self) -> float | None:
         """The smallest period at which the linearised loop fails: proved, or estimated where the scan was cut short.
 
-        Of a loop that is too large to scan, the longest of the examined periods that is proved stable. None if no
-        period fails, or if even the shortest ones do.
+        None if no period fails, if even the shortest ones do, or if the loop was too large to scan: single periods say
+        nothing of those between, and stable periods have windows.
         """
         if self.examined is not None:
-            return None if self.examined.next is None or self.longest_proved == 0 else float(self.longest_proved)
+            return None
         if self.scan.complete or self.proved_to == 0:
             return None
         if self.scan.exhausted:
@@ -139,12 +139,6 @@ class Routes:
     def proved_to(self) -> float:
         """Every period below it (with a delay: from ``scan.start`` on) is proved by one of the routes; 0 if none is."""
         return float(max(self._scanned_to, self.lyapunov.largest or 0))
-
-    @property
-    def longest_proved(self) -> Fraction:
-        """The longest period that is proved, maybe without all shorter ones; 0 if none is."""
-        single = self.examined.stable if self.examined is not None else None
-        return max(self._scanned_to, self.lyapunov.largest or Fraction(0), single or Fraction(0))
 
     @property
     def _scanned_to(self) -> Fraction:

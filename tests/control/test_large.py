@@ -81,7 +81,7 @@ def test_a_refusal_of_a_large_loop_names_a_proved_period_and_gain_change(delay: 
     period = Fraction(claim.hint.split("sample at h = ")[1].split(" s")[0])
     assert spectral(loop, period, Fraction(delay)).status is Status.PROVED
     assert spectral(loop, period * Fraction(103, 100), Fraction(delay)).status is Status.REFUTED
-    assert found.derived["max_sample_period"] == float(period)
+    assert found.derived["max_sample_period"] is None  # a window of stability may lie below
     change = Fraction(claim.hint.split("alpha*beta by ")[1].split(",")[0])
     law = scaled(found.situation.law, {"alpha*beta": change})
     assert spectral(family.loop(law), design.sample_period, Fraction(delay)).status is Status.PROVED
