@@ -39,8 +39,6 @@ _SMALL = 12
 _LARGEST_SEARCH = 20
 #: All periods around the design's are examined for loops of at most so many states, unless it is asked for.
 _LARGEST_SCAN = 24
-#: Single periods are examined for loops of at most so many states, and always for a refusal.
-_LARGEST_EXAMINED = 60
 
 _SPECTRAL = "exact zero-order hold, linearised implicit step, Routh array after a Moebius map, in ball arithmetic"
 _SPECTRAL_LARGE = "exact zero-order hold, linearised implicit step, Lyapunov matrix verified in ball arithmetic"
@@ -82,7 +80,7 @@ class Routes:
         lyapunov: of the continuous storage. spectral: of the linearised sampled loop.
         scan: what is proved of the linearised loop with shorter and longer periods.
         estimate: of the end of the stable periods, where the scan did not reach it.
-        examined: single periods instead of a scan, for large loops.
+        examined: single periods instead of a scan, for the refusal of large loops.
         jitter: the common storage for varying periods, where the Lyapunov route does not cover them.
     """
 
@@ -311,9 +309,9 @@ def decide(
     if found.exhausted and not delay and small and found.stable_to > 0:
         about = estimate(loop, found.stable_to, h * _REACH)
     else:
-        open_end = found.exhausted and not small and (refused or size <= _LARGEST_EXAMINED)
-        none = delay > 0 and refused and found.stable_to == found.start
-        if hurwitz_at_target and (open_end or none):
+        open_end = found.exhausted and not small
+        none = delay > 0 and found.stable_to == found.start
+        if refused and hurwitz_at_target and (open_end or none):
             singles = examine(loop, h, h * _REACH, delay)
     routes = Routes(h, h * (1 + sampling.jitter), storage, here, found, about, examined=singles)
     if sampling.jitter and not (routes.by_lyapunov and asymptotic.status is Status.PROVED):
