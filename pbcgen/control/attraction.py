@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbcgen.control.attractivity import Situation
-from pbcgen.control.landscape import Box, Landscape
+from pbcgen.control.landscape import Landscape
 from pbcgen.passivity.shaping import add, congruence, shape_at
+from pbcgen.proof.boxes import Box, halves, lengths, longest_side
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, inverse
 from pbcgen.symbolic.real import BITS, approximate, enclose, midpoint, precision, rational
@@ -223,22 +224,11 @@ def _lowest(landscape: Landscape, face: Box) -> tuple[float, list[Fraction]]:
     return float(result.fun), [Fraction(float(v)) for v in np.clip(result.x, lo, hi)]
 
 
-def _split(box: Box, widths: Sequence[Fraction]) -> tuple[Box, Box]:
-    k = max(range(len(box)), key=lambda i: (box[i][1] - box[i][0]) / widths[i] if widths[i] else 0)
-    lo, hi = box[k]
-    middle = (lo + hi) / 2
-    return (*box[:k], (lo, middle), *box[k + 1 :]), (*box[:k], (middle, hi), *box[k + 1 :])
-
-
-def _widths(box: Box) -> list[Fraction]:
-    return [hi - lo for lo, hi in box]
-
-
 def _prove_above(
     landscape: Landscape, face: Box, level: Fraction, anchor: Sequence[Fraction], budget: _Budget
 ) -> int | None:
     """The number of boxes that show W > level on the face, or None."""
-    waiting, count, widths = [face], 0, _widths(face)
+    waiting, count, whole = [face], 0, lengths(face)
     while waiting:
         part = waiting.pop()
         count += 1
@@ -248,7 +238,7 @@ def _prove_above(
             continue
         if landscape.height([float((lo + hi) / 2) for lo, hi in part]) <= level:
             return None
-        waiting.extend(_split(part, widths))
+        waiting.extend(halves(part, longest_side(part, whole)))
     return count
 
 
@@ -261,7 +251,7 @@ def _prove_alone(situation: Situation, landscape: Landscape, box: Box, level: Fr
     core = _core(landscape, box, x_star, centre)
     if core is None:
         return None
-    widths = _widths(box)
+    whole = lengths(box)
     waiting, count = [box], 0
     while waiting:
         part = waiting.pop()
@@ -274,7 +264,7 @@ def _prove_alone(situation: Situation, landscape: Landscape, box: Box, level: Fr
             continue
         if not inside and landscape.exceeds(part, level, [(lo + hi) / 2 for lo, hi in part]):
             continue
-        waiting.extend(_split(part, widths))
+        waiting.extend(halves(part, longest_side(part, whole)))
     return count
 
 

@@ -30,6 +30,7 @@ from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, Pot
 from pbcgen.passivity.plant import Point
 from pbcgen.passivity.shaping import diagonal, exact_matrix, extended_hessian, shape_at
 from pbcgen.passivity.target_map import NotExplicit, TargetMap
+from pbcgen.proof.boxes import Box, halves
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import RealMatrix, positive_definite
 from pbcgen.proof.lyapunov import Kind
@@ -60,8 +61,6 @@ _SHARE_CELLS: Final = 200
 _PERIODS: Final = 6
 
 _METHOD: Final = "balls over cells of the settings: saturation, LDL^T, Gershgorin discs in modal coordinates"
-
-Cell = tuple[tuple[Fraction, Fraction], ...]
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,7 @@ class _Box:
     def __post_init__(self) -> None:
         moving = self.settings.moving
         plant = self.situation.plant
-        self.whole: Cell = tuple((s.range.lo, s.range.hi) for s in self.settings.settings)
+        self.whole: Box = tuple((s.range.lo, s.range.hi) for s in self.settings.settings)
         self.reached: list[tuple[Fraction, Fraction]] | None = None
         found = self.situation.found
         self.hessian = found["hessian-condition"].status is Status.PROVED
@@ -185,7 +184,7 @@ class _Box:
                 return self._at(cell, why) if status is Status.REFUTED else _Open(self._show(cell), why)
         return None
 
-    def cover(self, whole: Cell, budget: int) -> int | _Open | _Refuted:
+    def cover(self, whole: Box, budget: int) -> int | _Open | _Refuted:
         """The number of cells on which a box is proved, or what resists."""
         budget //= 1 + _PERIODS * bool(self.sampling.jitter)
         waiting, proved, middles, left = [whole], 0, 0, _Open("", "")
@@ -207,7 +206,7 @@ class _Box:
             left = _Open(f"{self._show(cell)} after {budget} cells", reason)
         return left if waiting else proved
 
-    def _at(self, point: Cell, why: str) -> _Refuted:
+    def _at(self, point: Box, why: str) -> _Refuted:
         names = [s.name for s in self.settings.settings]
         return _Refuted({n: text(rational(lo), 9) for n, (lo, _) in zip(names, point, strict=True)}, why)
 
@@ -236,7 +235,7 @@ class _Box:
             f"continuous and {' '.join(sampled)}, on {cells} cell{'s' if cells != 1 else ''}"
         )
 
-    def _halves(self, cell: Cell) -> list[Cell]:
+    def _halves(self, cell: Box) -> list[Box]:
         """The cell cut across the setting that helps most with the linearisation that is furthest from a proof."""
         try:
             _, *after = max(blurs(family[0], kind) for kind, family in self._loops(cell, periods=False))
@@ -244,11 +243,9 @@ class _Box:
             after = [math.inf] * len(cell)
         shares = [float((hi - lo) / (b - a)) for (lo, hi), (a, b) in zip(cell, self.whole, strict=True)]
         k = min(range(len(cell)), key=lambda i: (after[i] if shares[i] else math.inf, -shares[i]))
-        lo, hi = cell[k]
-        middle = (lo + hi) / 2
-        return [(*cell[:k], (middle, hi), *cell[k + 1 :]), (*cell[:k], (lo, middle), *cell[k + 1 :])]
+        return [*reversed(halves(cell, k))]
 
-    def _loops(self, cell: Cell, periods: bool = True) -> list[tuple[Kind, list[Varying]]]:
+    def _loops(self, cell: Box, periods: bool = True) -> list[tuple[Kind, list[Varying]]]:
         """The continuous and the sampled linearisation; the latter also with all ``periods`` that may occur.
 
         Raises ZeroDivisionError where the loop may be singular.
@@ -270,14 +267,14 @@ class _Box:
                 families["schur"].append(Varying(own.value, slopes, (*widths, width)))
         return list(families.items())
 
-    def _show(self, cell: Cell, digits: int = 6) -> str:
+    def _show(self, cell: Box, digits: int = 6) -> str:
         parts = []
         for setting, (lo, hi) in zip(self.settings.settings, cell, strict=True):
             low, high = (f"{float(v):.{digits}g}" for v in (lo, hi))
             parts.append(f"{setting.name} = {low}" if lo == hi else f"{setting.name} in [{low}, {high}]")
         return ", ".join(parts)
 
-    def decide(self, cell: Cell) -> tuple[Status, str]:
+    def decide(self, cell: Box) -> tuple[Status, str]:
         """All claims on one cell; REFUTED only where the cell is a point."""
         point = self._point(_balls(cell))
         outside = self._outside(point)
@@ -321,11 +318,11 @@ class _Box:
                 return Status.UNDECIDED, f"the equilibrium may leave the domain of {name}"
         return None
 
-    def _saturation(self, point: Point, cell: Cell) -> Saturation:
+    def _saturation(self, point: Point, cell: Box) -> Saturation:
         inputs = [self._input(k, u, cell) for k, u in enumerate(point.u)]
         return saturation(self.situation.plant, self.design, self._law(cell, 1), point, inputs)
 
-    def _input(self, k: int, u: Real, cell: Cell) -> Range:
+    def _input(self, k: int, u: Real, cell: Box) -> Range:
         """The range of an entry of u* over a cell: from corners where it is monotone, so that limits may be touched."""
         moving = self.settings.moving
         if moving is None or isinstance(u, fmpq):
@@ -341,7 +338,7 @@ class _Box:
                 ends.append(moving.walk(self.equilibrium, [rational(v) for v in corner])[0][self.n + k])
         return Range(ends[0], ends[1])
 
-    def _is_minimum(self, point: Point, cell: Cell) -> bool:
+    def _is_minimum(self, point: Point, cell: Box) -> bool:
         """The Hessian condition, that of (x, x_c) where it was proved; the least alpha beta and K_c decide."""
         law = self._law(cell, 0)
         base = law.base if isinstance(law, Integral) else law
@@ -357,7 +354,7 @@ class _Box:
                 hessian = shape.hessian(stiffness)
             return positive_definite(hessian).status is Status.PROVED
 
-    def _law(self, cell: Cell, side: int) -> Law:
+    def _law(self, cell: Box, side: int) -> Law:
         """The law with every adjustable gain at one end of the cell."""
         ends: dict[str, list[Fraction]] = {}
         values = {s.name: bounds[side] for s, bounds in zip(self.settings.settings, cell, strict=True)}
@@ -373,7 +370,7 @@ class _Box:
         self.reached = [(min(a, c), max(b, d)) for (a, b), (c, d) in zip(self.reached, found, strict=True)]
 
 
-def _balls(cell: Cell) -> list[Real]:
+def _balls(cell: Box) -> list[Real]:
     with precision(BITS):
         return [rational(lo) if lo == hi else enclose(lo, hi) for lo, hi in cell]
 

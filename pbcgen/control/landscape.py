@@ -20,12 +20,11 @@ from pbcgen.control.attractivity import Situation
 from pbcgen.control.envelope import Envelope
 from pbcgen.models.laws import NaturalDamping
 from pbcgen.passivity.shaping import congruence, multiply, transpose
+from pbcgen.proof.boxes import Box
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, positive_definite, positive_semidefinite
 from pbcgen.symbolic.real import BITS, Real, approximate, ball, enclose, is_finite, lower, precision, rational, upper
 from pbcgen.symbolic.tape import Tape
-
-Box = tuple[tuple[Fraction, Fraction], ...]
 
 
 class Landscape:

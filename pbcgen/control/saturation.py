@@ -14,8 +14,9 @@ from pbcgen.models.design import Design
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.models.limits import row_text
 from pbcgen.passivity.plant import Plant, Point
+from pbcgen.proof.boxes import Box
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.extrema import Box, maximum, term_bounds
+from pbcgen.proof.extrema import maximum, term_bounds
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import BITS, Real, midpoint, precision, rational, sign, text
 

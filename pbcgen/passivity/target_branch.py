@@ -20,6 +20,7 @@ from flint import arb
 from numpy.typing import NDArray
 
 from pbcgen.passivity.plant import Plant
+from pbcgen.proof.boxes import halves, lengths, longest_side
 from pbcgen.proof.definite import RealMatrix, as_balls
 from pbcgen.proof.newton import float_newton, krawczyk, polish
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, ball, enclose, is_finite, midpoint, precision, rational, reals
@@ -111,14 +112,14 @@ class Branch:
 
         Neighbours share the solution at their border: there the steps end so near to both that these are one.
         """
-        waiting = [tuple(box)]
+        waiting, whole = [tuple(box)], lengths(tuple(box))
         with precision(BITS):
             for _ in range(_CELLS):
                 if not waiting:
                     return True
                 cell = waiting.pop()
                 if not self._passes(cell):
-                    waiting += _halves(cell, box)
+                    waiting += halves(cell, longest_side(cell, whole))
         return False
 
     def _passes(self, cell: Sequence[tuple[Fraction, Fraction]]) -> bool:
@@ -236,17 +237,6 @@ def find_branch(
         if branch.holds(box):
             return branch
     return f"that {steps + _MORE - 1} Newton steps reach its solution everywhere in the box was not proved"
-
-
-def _halves(
-    cell: Sequence[tuple[Fraction, Fraction]], box: Sequence[tuple[Fraction, Fraction]]
-) -> list[tuple[tuple[Fraction, Fraction], ...]]:
-    """The cell cut across its longest side, measured by the box."""
-    shares = [(hi - lo) / (b - a) for (lo, hi), (a, b) in zip(cell, box, strict=True)]
-    k = shares.index(max(shares))
-    lo, hi = cell[k]
-    middle = (lo + hi) / 2
-    return [(*cell[:k], part, *cell[k + 1 :]) for part in ((lo, middle), (middle, hi))]
 
 
 def _float_system(plant: Plant, p: ca.SX, z: ca.SX, equations: ca.SX) -> _FloatSystem:

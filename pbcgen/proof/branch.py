@@ -25,6 +25,7 @@ import casadi as ca
 from flint import fmpq, fmpq_mpoly
 
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.proof.boxes import Box, halves
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import positive_definite
 from pbcgen.proof.nonnegative import nonnegative, positive, semidefinite
@@ -32,7 +33,6 @@ from pbcgen.symbolic.field import Field, Quotient, evaluate
 from pbcgen.symbolic.real import REAL, ZERO, Real, enclose, fraction, is_finite, lower, precision, rational, sign
 from pbcgen.symbolic.tape import Tape
 
-Box: TypeAlias = tuple[tuple[Fraction, Fraction], ...]
 Interval: TypeAlias = tuple[Fraction | None, Fraction | None]
 #: Called now and then with the number of boxes done so far.
 Progress: TypeAlias = Callable[[int], None] | None
@@ -227,8 +227,7 @@ class _Branching:
         lo, hi = box[widest]
         if hi - lo <= _NARROWEST * self._widths[widest]:
             return BoxProof(Status.UNDECIDED, 0)
-        middle = (lo + hi) / 2
-        return [(_below(value), (*box[:widest], piece, *box[widest + 1 :])) for piece in ((lo, middle), (middle, hi))]
+        return [(_below(value), half) for half in halves(box, widest)]
 
 
 def _below(value: Real) -> float:

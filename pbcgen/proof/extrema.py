@@ -7,13 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
+from pbcgen.proof.boxes import Box, halves
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import Real, enclose, fraction, is_finite, lower, rational, upper
 
 #: Functions with values in [-1, 1] whatever their argument.
 _BOUNDED_KINDS = frozenset({"sin", "cos", "tanh", "erf"})
-
-Box = tuple[tuple[Fraction, Fraction], ...]
 
 
 @dataclass(frozen=True)
@@ -86,9 +85,7 @@ def maximum(
             break
         heapq.heappop(heap)
         widest = max(range(len(part)), key=lambda k: part[k][1] - part[k][0])
-        lo, hi = part[widest]
-        middle = (lo + hi) / 2
-        for piece in ((lo, middle), (middle, hi)):
-            if not push((*part[:widest], piece, *part[widest + 1 :])):
+        for half in halves(part, widest):
+            if not push(half):
                 return attained, None
     return attained, max(bound for *_, bound in heap)
