@@ -20,8 +20,10 @@ from typing import TYPE_CHECKING, Any
 from pbcgen.control.certificate import certificate as write_certificate
 from pbcgen.control.closed_loop import ClosedLoop
 from pbcgen.control.derive import Derivation, derive
+from pbcgen.control.hyperbolic import default_tanh
 from pbcgen.control.law import ControlLaw
 from pbcgen.control.sampled import Sampling
+from pbcgen.control.solves import with_tanh
 from pbcgen.control.stability import LYAPUNOV
 from pbcgen.emit import Extras, Package, Provenance, render
 from pbcgen.errors import EmitError, ModelError, NotProved
@@ -48,7 +50,8 @@ class Report:
         design: the design that was checked.
         claims: one verdict for each claim that concerns the law, in the order of CLAIMS.
         derived: the keys of the JSON document's ``derived`` (kappa, gamma, ...); formulas as strings.
-        writable: whether there is a law that can be computed in the precision of the code.
+        unfitted: the discretised law before its loop equation is fitted; None if there is no law, or if it cannot be
+            computed in the precision of the code.
         loop: plant and continuous law for simulation, or None when the derivation stopped before it.
         model_hash: SHA-256 of the canonical text of the design.
         timings: seconds of each stage.
@@ -59,7 +62,7 @@ class Report:
     design: Design
     claims: tuple[Claim, ...]
     derived: Mapping[str, Any]
-    writable: bool
+    unfitted: ControlLaw | None
     loop: ClosedLoop | None
     model_hash: str
     timings: Mapping[str, float]
@@ -70,9 +73,14 @@ class Report:
     @cached_property
     def control(self) -> ControlLaw | None:
         """The discretised law, or None; made when it is asked for, since fitting its loop equation takes a while."""
-        if not self.writable:
+        if self.unfitted is None:
             return None
-        return self.derivation.control_law(self.design.sample_period, self.design.precision, self.tanh)
+        return with_tanh(self.unfitted, self.tanh or default_tanh(self.design.precision))
+
+    @property
+    def writable(self) -> bool:
+        """Whether there is a law that can be computed in the precision of the code."""
+        return self.unfitted is not None
 
     def __repr__(self) -> str:
         proved = sum(c.status is Status.PROVED for c in self.claims)
@@ -147,16 +155,16 @@ def check(design: Design, progress: Progress = None, sampling: Sampling | None =
     except ModelError as error:
         raise located(error, design.call, design.system.call) from error.__cause__
     timings = {**derivation.timings, "total": perf_counter() - start}
-    writable, unwritable = False, ""
+    unfitted, unwritable = None, ""
     try:
-        writable = derivation.control_law(design.sample_period, design.precision, "libm") is not None
+        unfitted = derivation.control_law(design.sample_period, design.precision, "libm")
     except EmitError as error:
         unwritable = str(error)
     return Report(
         design,
         derivation.claims,
         derivation.derived,
-        writable,
+        unfitted,
         derivation.loop,
         model_hash(design),
         {name: round(seconds, 6) for name, seconds in timings.items()},
