@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -10,9 +10,6 @@ from pbcgen.cli import options
 from pbcgen.cli.outcome import Outcome
 from pbcgen.cli.terminal import progress
 from pbcgen.errors import NotProved
-
-if TYPE_CHECKING:
-    pass
 
 
 def register(app: typer.Typer) -> None:

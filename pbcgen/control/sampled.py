@@ -65,11 +65,6 @@ class Sampling:
         if not 0 <= self.jitter < 1:
             raise ModelError(f"the jitter is {float(self.jitter):g}: a share of the sample period below 1 was expected")
 
-    @property
-    def ideal(self) -> bool:
-        """Whether the loop is sampled evenly and without delay."""
-        return self.delay == 0 and self.jitter == 0
-
 
 @dataclass(frozen=True)
 class Routes:
@@ -113,8 +108,6 @@ class Routes:
         None if no period fails, if even the shortest ones do, or if the loop was too large to scan: single periods say
         nothing of those between, and stable periods have windows.
         """
-        if self.examined is not None:
-            return None
         if self.scan.complete or self.proved_to == 0:
             return None
         if self.scan.exhausted:

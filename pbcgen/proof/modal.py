@@ -36,19 +36,12 @@ class Varying:
     widths: tuple[arb, ...] = ()
 
 
-def discs_inside(matrix: Varying, kind: Kind) -> bool:
-    """Whether the matrices are certainly Hurwitz or Schur (a no means nothing).
-
-    Where eigenvalues nearly meet, eigenvectors are nearly parallel: then an orthonormal basis of their span is tried.
-    """
-    return contract([matrix], kind)
-
-
 def contract(family: Sequence[Varying], kind: Kind) -> bool:
     """Whether all matrices of a family pass in one basis with the same weights d (a no means nothing).
 
     For "schur" this says ``max_i |(V^-1 z)_i| / d_i`` gets smaller under each of them, so in any sequence too. The
-    basis is that of the first centre.
+    basis is that of the first centre. Where eigenvalues nearly meet, eigenvectors are nearly parallel: then an
+    orthonormal basis of their span is tried.
     """
     with precision(_BITS):
         return any(_inside(family, kind, grouped) for grouped in (False, True))

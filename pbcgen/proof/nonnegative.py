@@ -152,11 +152,6 @@ def _without_content(field: Field, polynomial: fmpq_mpoly, positive: frozenset[i
     )
 
 
-def known_signs(field: Field) -> Known:
-    """What is known of the generators of a field without assumptions on its symbols."""
-    return Known.of(field)
-
-
 def nonnegative(function: Quotient, positive_symbols: frozenset[int] = frozenset()) -> bool:
     """Whether ``function >= 0`` wherever it is defined is proved, symbols in ``positive_symbols`` being positive."""
     constant = function.constant()
