@@ -187,5 +187,10 @@ class Envelope:
 
     def spring(self, z: NDArray[np.float64]) -> float:
         """Phi(z) in double precision."""
-        size = np.abs(self._beta * z)
-        return float(np.sum(self._alpha / self._beta * (size + np.log1p(np.exp(-2 * size)) - np.log(2))))
+        return float(np.sum(self._alpha / self._beta * log_cosh(self._beta * z)))
+
+
+def log_cosh(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """ln cosh(x) in double precision, elementwise, without overflow."""
+    size = np.abs(x)
+    return np.asarray(size + np.log1p(np.exp(-2 * size)) - np.log(2))

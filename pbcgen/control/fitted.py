@@ -31,7 +31,7 @@ import numpy as np
 from flint import arb, arb_series, ctx
 from numpy.typing import NDArray
 
-from pbcgen.control.hyperbolic import cut_ratio, fast_tanh
+from pbcgen.control.hyperbolic import cut_ratio, fast_tanh, polynomial
 from pbcgen.control.law import Fit, Piece
 from pbcgen.control.minimax import chebyshev, horner
 from pbcgen.control.minimax import rational as best_rational
@@ -195,10 +195,7 @@ def fitted(fit: Fit, c: Array) -> Array:
     if fit.correction:
         T = fast_tanh(c)
         square = T * T
-        p = np.full_like(T, real(fit.correction[-1]))
-        for coefficient in reversed(fit.correction[:-1]):
-            p = p * square + real(coefficient)
-        result: Array = T - T * (real(1) - square) * p
+        result: Array = T - T * (real(1) - square) * polynomial(fit.correction, square)
         return result
     r = np.abs(c)
     sign = c / r

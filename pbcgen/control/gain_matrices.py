@@ -7,8 +7,8 @@ from fractions import Fraction
 
 from flint import fmpq, fmpq_mat
 
-from pbcgen.control.settings import Gain, GainMatrix, times
-from pbcgen.models.gains import Matrix
+from pbcgen.control.settings import GainMatrix, times
+from pbcgen.models.gains import Matrix, diagonal
 from pbcgen.symbolic.real import fraction, rational
 
 
@@ -38,7 +38,7 @@ class Implicit:
         sums = [1 + times(h, R[i][i], K[i][i]) for i in entries]
         decays = [1 / v for v in sums]
         pushes = [times(h, R[i][i], decays[i]) for i in entries]
-        return Implicit(_diagonal(sums), _diagonal(decays), _diagonal(pushes))
+        return Implicit(diagonal(sums), diagonal(decays), diagonal(pushes))
 
 
 def exact_inverse(rows: Matrix) -> Matrix:
@@ -51,10 +51,6 @@ def _numbers(rows: GainMatrix) -> Matrix | None:
     """The matrix, if all its entries are numbers."""
     found = tuple(tuple(v for v in row if isinstance(v, Fraction)) for row in rows)
     return found if all(len(a) == len(b) for a, b in zip(found, rows, strict=True)) else None
-
-
-def _diagonal(entries: list[Gain]) -> GainMatrix:
-    return tuple(tuple(v if i == j else Fraction(0) for j in range(len(entries))) for i, v in enumerate(entries))
 
 
 def _product(a: Matrix, b: Matrix) -> Matrix:

@@ -88,7 +88,7 @@ def cut_ratio(
 
     The coefficient of Q's highest power is 1 and left out.
     """
-    p, q = _horner(numerator, y), _horner((*denominator[:-1], y + x.dtype.type(denominator[-1])), y)
+    p, q = polynomial(numerator, y), polynomial((*denominator[:-1], y + x.dtype.type(denominator[-1])), y)
     quotient = x * p / q
     result: NDArray[Any] = np.where(np.abs(quotient) <= x.dtype.type(1), quotient, x / np.abs(x))
     return result
@@ -98,14 +98,14 @@ def fast_cosh(x: NDArray[Any]) -> NDArray[Any]:
     """The cosh of doubled arguments, elementwise, with the operations of the C in their order."""
     real = x.dtype.type
     y = x * x
-    w = _horner(COSH, y) * y
+    w = polynomial(COSH, y) * y
     for _ in range(DOUBLINGS - 1):
         w = w * (w + real(4))
     result: NDArray[Any] = real(0.5) * w * (w + real(4)) + real(1)
     return result
 
 
-def _horner(coefficients: Sequence[Any], y: NDArray[Any]) -> NDArray[Any]:
+def polynomial(coefficients: Sequence[Any], y: NDArray[Any]) -> NDArray[Any]:
     """The polynomial, coefficients from the constant up; the last one may be an array."""
     real = y.dtype.type
     result: NDArray[Any] = coefficients[-1] + np.zeros_like(y)

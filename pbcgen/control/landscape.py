@@ -17,7 +17,7 @@ from flint import arb, arb_mat
 from numpy.typing import NDArray
 
 from pbcgen.control.attractivity import Situation
-from pbcgen.control.envelope import Envelope
+from pbcgen.control.envelope import Envelope, log_cosh
 from pbcgen.models.laws import NaturalDamping
 from pbcgen.passivity.shaping import congruence, multiply, transpose
 from pbcgen.proof.boxes import Box
@@ -187,9 +187,9 @@ class Landscape:
             star = [approximate(v) for v in self.situation.point.x]
             moved = np.array(signal(x, u)).ravel() - np.array(signal(star, u)).ravel()
             upsilon = np.array([[float(v) for v in row] for row in law.Upsilon or ()])
-            size = np.abs(np.array([float(b) for b in law.beta_l]) * (upsilon @ moved))
+            arguments = np.array([float(b) for b in law.beta_l]) * (upsilon @ moved)
             slopes = np.array([float(a / b) for a, b in zip(law.alpha_l, law.beta_l, strict=True)])
-            total += float(slopes @ (size + np.log1p(np.exp(-2 * size)) - np.log(2)))
+            total += float(slopes @ log_cosh(arguments))
         return total
 
     def can_rest(self, x: Sequence[Real]) -> bool:

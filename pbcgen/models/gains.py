@@ -99,8 +99,8 @@ def rectangle(rows: Sequence[Any], what: str) -> Matrix:
     return result
 
 
-def diagonal(entries: Sequence[Fraction]) -> Matrix:
-    """The diagonal matrix of these entries."""
+def diagonal(entries: Sequence[T | Fraction]) -> tuple[tuple[T | Fraction, ...], ...]:
+    """The diagonal matrix of these entries, numbers or expressions."""
     size = range(len(entries))
     return tuple(tuple(entries[i] if i == j else Fraction(0) for j in size) for i in size)
 
