@@ -27,7 +27,8 @@ from pbcgen.passivity.plant import Plant, SymbolicPlant
 from pbcgen.passivity.region import Region, undefined
 from pbcgen.passivity.structure import PowerStructure, candidates, prove
 from pbcgen.proof.claim import CLAIMS, Claim, Status
-from pbcgen.proof.nonnegative import Everywhere, definite, nonnegative, positive
+from pbcgen.proof.elimination import definite
+from pbcgen.proof.nonnegative import Everywhere, nonnegative, positive
 from pbcgen.proof.refute import refute
 from pbcgen.proof.seeker import Question
 from pbcgen.symbolic.field import Quotient

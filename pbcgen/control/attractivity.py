@@ -34,8 +34,9 @@ from pbcgen.passivity.structure import PowerStructure
 from pbcgen.passivity.unbounded import Growth, radially_unbounded
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import as_balls
+from pbcgen.proof.elimination import semidefinite
 from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
-from pbcgen.proof.nonnegative import positive, semidefinite
+from pbcgen.proof.nonnegative import positive
 from pbcgen.symbolic.linear import Inconsistent, Row, reduce_rows
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, ball, fraction, precision, rational, sign, text
 from pbcgen.symbolic.tape import Tape, exact_decimal

@@ -12,12 +12,10 @@ from pbcgen.control.hyperbolic import COSH, DENOMINATOR, DOUBLINGS, FAST_ERROR, 
 from pbcgen.control.law import (
     ControlLaw,
     Fallback,
-    Fit,
     Precision,
     ScalarSolve,
     Setter,
     Signal,
-    VectorSolve,
 )
 from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
 from pbcgen.control.step import channels_to_check, check_solves, equilibrium_output, initial_state, setting_bounds
@@ -25,24 +23,19 @@ from pbcgen.emit.expressions import LIBRARY, Graph, Node, Printer, Statement
 from pbcgen.emit.identifiers import Scope
 from pbcgen.emit.literals import literal
 from pbcgen.emit.program import (
-    BlockCall,
-    BlockFunction,
     Body,
     Constants,
     FastTanh,
-    FittedFunction,
-    FittedPiece,
     InputMember,
     OutputMember,
     Program,
-    ScalarCall,
-    ScalarFunction,
     SetterFunction,
     SettingMember,
     StartFunction,
     StateMember,
 )
 from pbcgen.emit.selftest import self_test
+from pbcgen.emit.solves import Coefficients, SolverFunctions, calls_of, constant_mus, t_names_of
 from pbcgen.errors import EmitError
 from pbcgen.symbolic.tape import Matrix
 
@@ -69,7 +62,7 @@ def program_of(law: ControlLaw, prefix: str, extras: Extras = Extras()) -> Progr
     outputs = _outputs(law, scope)
     members = _Members(_inputs(law), outputs, _states(law, outputs, scope))
     setters = tuple(_setter(law, prefix, setter, members) for setter in law.setters)
-    functions = _SolverFunctions.of(law, prefix, _constant_mus(law))
+    functions = SolverFunctions.of(law, prefix, constant_mus(law))
     return Program(
         prefix=prefix,
         constants=constants_of(law.precision),
@@ -90,21 +83,6 @@ def program_of(law: ControlLaw, prefix: str, extras: Extras = Extras()) -> Progr
         start=_start(law, prefix, members) if extras.start else None,
         selftest=self_test(law) if extras.selftest else None,
     )
-
-
-def _constant_mus(law: ControlLaw) -> dict[int, str]:
-    """The literal mu of every channel with a fit. Raises ValueError if one is no constant."""
-    graph = Graph()
-    arguments = [[graph.name("")] * size for size in law.prepare.input_sizes]
-    N = law.prepare.walk(graph, arguments)[1].entries
-    mus = {}
-    for solve in law.solves:
-        if isinstance(solve, ScalarSolve) and solve.fit:
-            node = N.get((solve.index, solve.index))
-            if node is None or node.value is None:
-                raise ValueError(f"channel {solve.index} has a fit, but its mu is no constant")
-            mus[solve.index] = literal(nearest(node.value, law.precision))
-    return mus
 
 
 @dataclass(frozen=True)
@@ -243,73 +221,18 @@ def _renamed(members: _Members, setters: Sequence[SetterFunction]) -> tuple[tupl
     return tuple(sorted({(m.signal.name, m.c_name) for m in everything if m.signal.name != m.c_name}))
 
 
-@dataclass(frozen=True)
-class _SolverFunctions:
-    """The solver functions, each for the solves that can share it."""
-
-    fitted: Mapping[tuple[str, Fit], FittedFunction]
-    scalar: Mapping[int, ScalarFunction]
-    block: Mapping[tuple[int, int, float], BlockFunction]
-
-    @staticmethod
-    def of(law: ControlLaw, prefix: str, mus: Mapping[int, str]) -> _SolverFunctions:
-        """``mus`` has the literal mu of every channel with a fit."""
-        fitted: dict[tuple[str, Fit], FittedFunction] = {}
-        scalar: dict[int, ScalarFunction] = {}
-        block: dict[tuple[int, int, float], BlockFunction] = {}
-        bounds: dict[int, float] = {}
-        for solve in law.solves:
-            if isinstance(solve, ScalarSolve) and solve.fit:
-                key = (mus[solve.index], solve.fit)
-                if key not in fitted:
-                    fitted[key] = _fitted_function(f"{prefix}_solve_{solve.index}", *key)
-            elif isinstance(solve, ScalarSolve):
-                bounds[solve.iterations] = max(bounds.get(solve.iterations, 0.0), solve.error_bound)
-            elif _key(solve) not in block:
-                name = f"{prefix}_solve_block{len(block) or ''}"
-                tolerance = literal(nearest(Fraction(solve.tolerance), law.precision, "the tolerance"))
-                m = len(solve.indices)
-                block[_key(solve)] = BlockFunction(name, m, solve.iterations, tolerance)
-        for iterations, bound in sorted(bounds.items()):
-            name = f"{prefix}_solve" if len(bounds) == 1 else f"{prefix}_solve_in_{iterations}"
-            scalar[iterations] = ScalarFunction(name, iterations, f"{bound:.2g}")
-        return _SolverFunctions(fitted, scalar, block)
-
-
-def _fitted_function(name: str, mu: str, fit: Fit) -> FittedFunction:
-    def text(value: float) -> str:
-        return literal(np.float32(value))
-
-    pieces = tuple(
-        FittedPiece(
-            text(piece.knot),
-            text(piece.length),
-            tuple(map(text, reversed(piece.numerator))),
-            tuple(map(text, reversed(piece.denominator))),
-        )
-        for piece in fit.pieces
-    )
-    origin = pieces[0].length if pieces and fit.pieces[0].length else ""
-    correction = tuple(map(text, reversed(fit.correction)))
-    return FittedFunction(name, mu, correction, pieces, origin, f"{fit.error_bound:.2g}")
-
-
-def _key(solve: VectorSolve) -> tuple[int, int, float]:
-    return (len(solve.indices), solve.iterations, solve.tolerance)
-
-
-def _body(law: ControlLaw, prefix: str, members: _Members, functions: _SolverFunctions) -> Body:
+def _body(law: ControlLaw, prefix: str, members: _Members, functions: SolverFunctions) -> Body:
     graph = Graph()
     zero = graph.const(Fraction(0))
-    t_names = _t_names(law)
+    t_names = t_names_of(law)
     c, N = law.prepare.walk(graph, members.arguments(graph))
-    coefficients = _Coefficients.of(law, prefix, N, zero)
+    coefficients = Coefficients.of(law, prefix, N, zero)
     prepare_roots = {f"c{i}": root for i, root in enumerate(c.column(zero))} | coefficients.roots
     update_roots = _update_roots(law, graph, members, t_names)
     early = _library_calls(graph, list(update_roots.values()), t_names) if law.channels else []
     printer = Printer(graph, law.precision, prefix, [*prepare_roots.values(), *update_roots.values()], early)
     called, _ = printer.stage(early)
-    scalars, blocks = _calls(law, functions, coefficients.texts, t_names)
+    scalars, blocks = calls_of(law, functions, coefficients.texts, t_names)
     return Body(
         prepare=(*called, *_named_stage(printer, prepare_roots)),
         prepare_checks=(
@@ -408,99 +331,3 @@ def _named_stage(printer: Printer, roots: Mapping[str, Node]) -> tuple[Statement
     """Statements that end by giving each root its name."""
     statements, texts = printer.stage(list(roots.values()))
     return (*statements, *(Statement(name, text) for name, text in zip(roots, texts, strict=True)))
-
-
-def _t_names(law: ControlLaw) -> list[str]:
-    """The C expression of t, by channel."""
-    names = [""] * law.channels
-    block = 0
-    for solve in law.solves:
-        if isinstance(solve, ScalarSolve):
-            names[solve.index] = f"t{solve.index}"
-            continue
-        for k, channel in enumerate(solve.indices):
-            names[channel] = f"t_block{block}[{k}]"
-        block += 1
-    return names
-
-
-@dataclass(frozen=True)
-class _Coefficients:
-    """The entries of N that the solves read.
-
-    Attributes:
-        texts: by position, a literal or the local variable that holds the entry; equal entries share one.
-        roots: the local variables, and what they hold.
-        checks: what must hold of them.
-    """
-
-    texts: dict[tuple[int, int], str]
-    roots: dict[str, Node]
-    checks: tuple[str, ...]
-
-    @staticmethod
-    def of(law: ControlLaw, prefix: str, N: Matrix[Node], zero: Node) -> _Coefficients:
-        """Raises EmitError for a constant mu below zero."""
-        texts: dict[tuple[int, int], str] = {}
-        roots: dict[str, Node] = {}
-        signs = []
-        for solve in law.solves:
-            indices = (solve.index,) if isinstance(solve, ScalarSolve) else solve.indices
-            for at in [(i, j) for i in indices for j in indices]:
-                node = N.entries.get(at, zero)
-                texts[at] = _coefficient(law, node, at, roots)
-                if isinstance(solve, ScalarSolve):
-                    signs += _sign_check(law, node, texts[at])
-        finite = [f"{prefix}_is_finite({name})" for name in roots]
-        return _Coefficients(texts, roots, (*finite, *signs))
-
-
-def _coefficient(law: ControlLaw, node: Node, at: tuple[int, int], roots: dict[str, Node]) -> str:
-    """The text of one entry of N; a new local variable joins ``roots`` if it needs one."""
-    if node.value is not None:
-        return literal(nearest(node.value, law.precision, f"the coefficient N[{at[0]}, {at[1]}]"))
-    for name, known in roots.items():
-        if known is node:
-            return name
-    name = f"n{at[0]}_{at[1]}"
-    roots[name] = node
-    return name
-
-
-def _sign_check(law: ControlLaw, node: Node, text: str) -> list[str]:
-    """The condition mu >= 0 if it must be checked at run time."""
-    if node.value is None:
-        return [f"({text} >= {literal(nearest(Fraction(0), law.precision))})"]
-    if node.value < 0:
-        raise EmitError(f"a channel has mu = {float(node.value)}: mu must not be negative")
-    return []
-
-
-def _calls(
-    law: ControlLaw, functions: _SolverFunctions, coefficients: Mapping[tuple[int, int], str], t_names: Sequence[str]
-) -> tuple[tuple[ScalarCall, ...], tuple[BlockCall, ...]]:
-    scalars: list[ScalarCall] = []
-    blocks: list[BlockCall] = []
-    arguments: tuple[str, ...]
-    for solve in law.solves:
-        if isinstance(solve, ScalarSolve):
-            i = solve.index
-            if solve.fit:
-                name, arguments = functions.fitted[coefficients[i, i], solve.fit].name, (f"c{i}",)
-            else:
-                name, arguments = functions.scalar[solve.iterations].name, (coefficients[i, i], f"c{i}")
-            scalars.append(ScalarCall(t_names[i], name, arguments))
-            continue
-        rows, k = solve.indices, len(blocks)
-        blocks.append(
-            BlockCall(
-                t=f"t_block{k}",
-                n=f"n_block{k}",
-                c=f"c_block{k}",
-                function=functions.block[_key(solve)].name,
-                size=len(rows),
-                entries=tuple(coefficients[i, j] for i in rows for j in rows),
-                right_side=tuple(f"c{i}" for i in rows),
-            )
-        )
-    return tuple(scalars), tuple(blocks)

@@ -16,8 +16,8 @@ from pbcgen.models.affine import Mechanics
 from pbcgen.models.inertia import sum_of_factors
 from pbcgen.passivity.construction import same_formulas
 from pbcgen.passivity.plant import Plant
+from pbcgen.proof.elimination import definite
 from pbcgen.proof.extrema import term_bounds
-from pbcgen.proof.nonnegative import definite
 from pbcgen.symbolic.field import Field, Quotient, evaluate
 from pbcgen.symbolic.tape import OPERATIONS, Matrix, Tape
 

@@ -25,7 +25,8 @@ from pbcgen.passivity.region import Region, search_with_inputs
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.branch import Budget
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.nonnegative import Prover, semidefinite
+from pbcgen.proof.elimination import semidefinite
+from pbcgen.proof.nonnegative import Prover
 from pbcgen.proof.sos import coefficients, squares_tried, sum_of_squares
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows, solve

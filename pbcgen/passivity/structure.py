@@ -18,7 +18,8 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.construction import drift_by_construction
 from pbcgen.passivity.factor import Factor, find_factor, refine_symbolically
 from pbcgen.passivity.plant import Plant, dot
-from pbcgen.proof.nonnegative import Everywhere, Prover, semidefinite
+from pbcgen.proof.elimination import semidefinite
+from pbcgen.proof.nonnegative import Everywhere, Prover
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.tape import Matrix as SparseMatrix
 

@@ -22,8 +22,9 @@ from pbcgen.passivity.lasalle import linear_in
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, positive_semidefinite
+from pbcgen.proof.elimination import definite
 from pbcgen.proof.extrema import term_bounds
-from pbcgen.proof.nonnegative import definite, nonnegative
+from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO, Real, rational, sign

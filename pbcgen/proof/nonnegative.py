@@ -1,4 +1,4 @@
-"""Exact proofs that a function is nonnegative or that a symmetric matrix of functions is positive semidefinite.
+"""Exact proofs that a function is nonnegative or positive.
 
 A rational function of symbols and atoms is split into terms with a known sign: squares, exponentials, square roots,
 sector terms ``xi tanh(a xi) >= 0``, and products ``(T(a) - T(b)) (a - b) >= 0`` of increasing functions. What remains
@@ -8,7 +8,7 @@ never necessary: failure says nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Protocol
@@ -17,27 +17,16 @@ from flint import fmpq, fmpq_mpoly
 
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import positive_semidefinite
-from pbcgen.proof.spot import Spots
-from pbcgen.symbolic.field import Field, Quotient, TooLarge
+from pbcgen.proof.known import POSITIVE_KINDS, SECTOR_KINDS, Exponents, Known, without_content
+from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO
-
-_POSITIVE_KINDS = frozenset({"exp"})
-_NONNEGATIVE_KINDS = frozenset({"sqrt"})
-#: Odd increasing functions: T(xi) has the sign of xi.
-_SECTOR_KINDS = frozenset({"tanh", "atan", "asinh", "erf", "asin", "atanh"})
-#: Increasing functions whose sums of arguments the field does not take apart.
-_INCREASING_KINDS = _SECTOR_KINDS | {"log", "sqrt"}
-#: Functions with values in [-1, 1] whatever their argument.
-_BOUNDED_KINDS = frozenset({"sin", "cos", "tanh", "erf"})
 
 #: How often a polynomial is taken apart, and the sizes beyond which it is not.
 _DEPTH = 3
 _MOST_TERMS = 300
 _MOST_BOUNDED = 6
 _MOST_PRODUCTS = 8
-
-Exponents = tuple[int, ...]
 
 
 class Prover(Protocol):
@@ -67,60 +56,6 @@ class Everywhere:
         return positive(function, self.positive_symbols)
 
 
-@dataclass(frozen=True)
-class Known:
-    """What is known of the sign of the generators of a field.
-
-    Attributes:
-        positive: generators that are nowhere negative.
-        sector: for an odd increasing atom of a monomial the exponents of that monomial.
-        pairs: polynomials T, xi with T xi >= 0.
-        bounded: atoms with values in [-1, 1].
-        exponentials: atoms exp(a) with a polynomial a.
-        spots: values at sample points, which show that there is nothing to prove.
-    """
-
-    positive: frozenset[int]
-    sector: dict[int, Exponents]
-    pairs: tuple[tuple[fmpq_mpoly, fmpq_mpoly], ...]
-    bounded: frozenset[int]
-    exponentials: frozenset[int]
-    spots: Spots
-
-    @staticmethod
-    def of(field: Field, positive_symbols: frozenset[int] = frozenset()) -> Known:
-        """What the kinds of the atoms tell; symbols in ``positive_symbols`` are taken to be positive."""
-        positive = set(positive_symbols)
-        positive |= {k for k, a in field.atoms.items() if a.kind in _POSITIVE_KINDS | _NONNEGATIVE_KINDS}
-        sector: dict[int, Exponents] = {}
-        for k, atom in field.atoms.items():
-            terms = atom.argument.numerator.to_dict()
-            if atom.kind in _SECTOR_KINDS and len(terms) == 1 and atom.argument.is_polynomial():
-                ((exponents, coefficient),) = terms.items()
-                if coefficient > 0:
-                    sector[k] = tuple(0 if i in positive else int(e) for i, e in enumerate(exponents))
-        pairs = tuple(_pairs(field, frozenset(positive)))
-        bounded = frozenset(k for k, a in field.atoms.items() if a.kind in _BOUNDED_KINDS)
-        exponentials = frozenset(k for k, a in field.atoms.items() if a.kind == "exp" and a.argument.is_polynomial())
-        return Known(frozenset(positive), sector, pairs, bounded, exponentials, Spots(field, positive_symbols))
-
-
-def _pairs(field: Field, positive: frozenset[int]) -> Iterator[tuple[fmpq_mpoly, fmpq_mpoly]]:
-    """Polynomials with a product that is nowhere negative, from increasing atoms."""
-    atoms = [
-        (k, a) for k, a in sorted(field.atoms.items()) if a.kind in _INCREASING_KINDS and a.argument.is_polynomial()
-    ]
-    generators = field.context.gens()
-    for k, atom in atoms:
-        if atom.kind != "sqrt":
-            zero = 1 if atom.kind == "log" else 0
-            yield generators[k], _without_content(field, atom.argument.numerator - zero, positive)
-    for (k, a), (j, b) in combinations(atoms[:12], 2):
-        if a.kind == b.kind:
-            difference = a.argument.numerator - b.argument.numerator
-            yield generators[k] - generators[j], _without_content(field, difference, positive)
-
-
 def exponential_pairs(
     field: Field, polynomial: fmpq_mpoly, positive: frozenset[int]
 ) -> Iterator[tuple[fmpq_mpoly, fmpq_mpoly]]:
@@ -138,18 +73,7 @@ def exponential_pairs(
         difference = field.context.constant(0)
         for k in exponentials:
             difference += field.atoms[k].argument.numerator * (left[k] - right[k])
-        yield factors[0] - factors[1], _without_content(field, difference, positive)
-
-
-def _without_content(field: Field, polynomial: fmpq_mpoly, positive: frozenset[int]) -> fmpq_mpoly:
-    """The polynomial without the powers of positive generators that divide it."""
-    terms = polynomial.to_dict()
-    if not terms:
-        return polynomial
-    least = [min(int(e[k]) for e in terms) if k in positive else 0 for k in range(len(next(iter(terms))))]
-    return field.context.from_dict(
-        {tuple(int(a) - b for a, b in zip(e, least, strict=True)): c for e, c in terms.items()}
-    )
+        yield factors[0] - factors[1], without_content(field, difference, positive)
 
 
 def nonnegative(function: Quotient, positive_symbols: frozenset[int] = frozenset()) -> bool:
@@ -195,7 +119,7 @@ def _strictly(field: Field, polynomial: fmpq_mpoly, known: Known) -> bool:
 
 
 def _strict(field: Field, k: int) -> bool:
-    return k < field.symbol_count or field.atoms[k].kind in _POSITIVE_KINDS
+    return k < field.symbol_count or field.atoms[k].kind in POSITIVE_KINDS
 
 
 def trigonometric_forms(field: Field, polynomial: fmpq_mpoly) -> list[fmpq_mpoly]:
@@ -264,7 +188,7 @@ def _by_pairs(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) ->
 def _by_dominance(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> bool:
     """Terms ``sum T(a_k) C_kl a_l`` with T odd and increasing and C doubly dominant are nonnegative (Willems 1971)."""
     degrees = polynomial.degrees()
-    for kind in sorted(_SECTOR_KINDS):
+    for kind in sorted(SECTOR_KINDS):
         group = [
             k
             for k, a in sorted(field.atoms.items())
@@ -454,98 +378,3 @@ def gram_place(
         if other in position:
             return i, position[other]
     return None
-
-
-def _as_rows(matrix: Sequence[Sequence[Quotient]]) -> dict[int, dict[int, Quotient]]:
-    """The nonzero entries by row and column."""
-    return {i: {j: entry for j, entry in enumerate(row) if not entry.is_zero()} for i, row in enumerate(matrix)}
-
-
-def _by_cost(rows: Mapping[int, Mapping[int, Quotient]]) -> list[int]:
-    """Pivots that are numbers and have few neighbours first: the elimination then stays small."""
-
-    def cost(k: int) -> tuple[bool, int, int]:
-        entry = rows[k][k]
-        return entry.constant() is None, len(rows[k]), len(entry.numerator)
-
-    return sorted((k for k in rows if k in rows[k]), key=cost)
-
-
-def _eliminate(rows: dict[int, dict[int, Quotient]], pivot: int) -> None:
-    """One step of symmetric elimination; row and column ``pivot`` are removed."""
-    row = rows.pop(pivot)
-    head = row.pop(pivot)
-    for i in row:
-        del rows[i][pivot]
-    for i, left in row.items():
-        factor = left / head
-        for j, right in row.items():
-            before = rows[i].get(j)
-            value = -(factor * right) if before is None else before - factor * right
-            if value.is_zero():
-                rows[i].pop(j, None)
-            else:
-                rows[i][j] = value
-
-
-def semidefinite(
-    matrix: Sequence[Sequence[Quotient]],
-    positive_symbols: frozenset[int] = frozenset(),
-    prover: Prover | None = None,
-) -> bool:
-    """Whether the symmetric matrix of functions is proved positive semidefinite wherever it is defined.
-
-    Elimination with pivots that are proved positive. A diagonal entry that is the zero function needs a zero row.
-    ``prover`` decides the signs, :class:`Everywhere` if not given.
-    """
-    prover = prover or Everywhere(positive_symbols)
-    try:
-        return _semidefinite(_as_rows(matrix), prover)
-    except TooLarge:
-        return False
-
-
-def _semidefinite(rows: dict[int, dict[int, Quotient]], prover: Prover) -> bool:
-    while rows:
-        for k in [k for k, row in rows.items() if not row]:
-            del rows[k]
-        if not rows:
-            return True
-        if any(k not in row for k, row in rows.items()):
-            return False
-        isolated = [k for k, row in rows.items() if len(row) == 1]
-        if isolated:
-            if not all(prover.nonnegative(rows[k][k]) for k in isolated):
-                return False
-            for k in isolated:
-                del rows[k]
-            continue
-        pivot = next((k for k in _by_cost(rows) if prover.positive(rows[k][k])), None)
-        if pivot is None:
-            return False
-        _eliminate(rows, pivot)
-    return True
-
-
-def definite(
-    matrix: Sequence[Sequence[Quotient]],
-    positive_symbols: frozenset[int] = frozenset(),
-    prover: Prover | None = None,
-) -> bool:
-    """Whether the symmetric matrix of functions is proved positive definite wherever it is defined."""
-    prover = prover or Everywhere(positive_symbols)
-    try:
-        return _definite(_as_rows(matrix), prover)
-    except TooLarge:
-        return False
-
-
-def _definite(rows: dict[int, dict[int, Quotient]], prover: Prover) -> bool:
-    while rows:
-        if any(k not in row for k, row in rows.items()):
-            return False
-        pivot = next((k for k in _by_cost(rows) if prover.positive(rows[k][k])), None)
-        if pivot is None:
-            return False
-        _eliminate(rows, pivot)
-    return True

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import positive_semidefinite
-from pbcgen.proof.nonnegative import Known, nonnegative
+from pbcgen.proof.known import Known
+from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.real import fraction, rational
 

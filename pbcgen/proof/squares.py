@@ -14,9 +14,8 @@ from typing import Any
 
 from flint import fmpq, fmpq_mpoly
 
+from pbcgen.proof.known import Exponents, Known
 from pbcgen.proof.nonnegative import (
-    Exponents,
-    Known,
     exponent_of,
     gram_place,
     largest_exponential,

@@ -15,7 +15,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pbcgen.proof.nonnegative import definite, nonnegative, positive, semidefinite
+from pbcgen.proof.elimination import definite, semidefinite
+from pbcgen.proof.nonnegative import nonnegative, positive
 from pbcgen.symbolic.field import evaluate
 from pbcgen.symbolic.real import BITS, REAL, precision, rational, sign
 from pbcgen.symbolic.tape import Tape
