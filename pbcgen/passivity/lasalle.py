@@ -9,20 +9,30 @@ odd monotone functions, and split when it is a sum of terms of one sign. All of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
-from flint import fmpq, fmpq_mpoly
+from flint import fmpq
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.construction import drift_by_construction
+from pbcgen.passivity.equation import (
+    affine,
+    combination,
+    eliminated,
+    essential,
+    is_combination,
+    linear_in,
+    never_zero,
+    parts,
+    short,
+)
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.structure import PowerStructure
-from pbcgen.proof.nonnegative import nonnegative, positive
-from pbcgen.symbolic.display import formula
+from pbcgen.proof.nonnegative import positive
 from pbcgen.symbolic.field import Field, Quotient, evaluate
-from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, reduce_rows
+from pbcgen.symbolic.linear import CONSTANT, Row, reduce_rows
 from pbcgen.symbolic.tape import Tape
 
 #: Lie derivatives of an equation are followed up to this many times the number of states.
@@ -31,15 +41,8 @@ _ROUNDS = 3
 #: Equations beyond these sizes are given up: nonlinear ones grow with every Lie derivative.
 _LARGEST_TAPE = 1500
 _MOST_TERMS = 600
-#: Equations with more terms are not factored.
-_MOST_FACTORED = 100
 #: Instructions of all the expressions that one elimination may look at: some seconds of work.
 _BUDGET = 25_000
-
-Exponents = tuple[int, ...]
-
-#: Odd strictly increasing functions: they vanish only with their argument.
-_MONOTONE_KINDS = frozenset({"tanh", "atan", "asinh", "erf", "asin", "atanh"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +188,7 @@ class _Elimination:
         _, (value,) = self.exact(self.substitute(expression))
         if value.is_zero():
             return True
-        factors = [f for part in _parts(value) for f in [_essential(part)]]
+        factors = [f for part in parts(value) for f in [essential(part)]]
         used = True
         for factor in factors:
             if factor is None:
@@ -249,7 +252,7 @@ class _Elimination:
         if not all(value.is_polynomial() for value in values):
             return all(value.is_zero() for value in values[len(waiting) :])
         zeros = [value.numerator.to_dict() for value in values[: len(waiting)]]
-        return all(_is_combination(value.numerator.to_dict(), zeros) for value in values[len(waiting) :])
+        return all(is_combination(value.numerator.to_dict(), zeros) for value in values[len(waiting) :])
 
     def _settle(self, waiting: Sequence[ca.SX]) -> None:
         """Use that everything rests, as far as it goes: Lie derivatives say nothing more."""
@@ -274,23 +277,23 @@ class _Elimination:
         rows: dict[int, Row] = {}
         left = []
         for equation, value in zip(queue, values, strict=True):
-            row = _affine(value, len(self.symbols))
+            row = affine(value, len(self.symbols))
             if row is None:
                 left.append(equation)
                 continue
-            row = _eliminated(row, rows)
+            row = eliminated(row, rows)
             unknown = [k for k in row if k != CONSTANT]
             if not unknown:
                 left += [equation] if row else []
                 continue
             k = min(int(str(key)) for key in unknown)
             rest = {key: c / row[k] for key, c in row.items() if key != k}
-            self._record(k, _combination(field_, rest))
+            self._record(k, combination(field_, rest))
             for other, before in rows.items():
-                rows[other] = _eliminated(before, {k: rest})
+                rows[other] = eliminated(before, {k: rest})
             rows[k] = rest
         if rows:
-            found = [self.to_sx(_combination(field_, row)) for row in rows.values()]
+            found = [self.to_sx(combination(field_, row)) for row in rows.values()]
             old, new = ca.vertcat(*[self.symbols[k] for k in rows]), ca.vertcat(*found)
             self.solved = {j: ca.substitute(value, old, new) for j, value in self.solved.items()}
             self.solved |= dict(zip(rows, found, strict=True))
@@ -298,7 +301,7 @@ class _Elimination:
 
     def _record(self, k: int, value: Quotient) -> None:
         self.relations.append(self.symbols[k] - self.to_sx(value))
-        self.steps.append(f"{self.names[k]} = {_short(value)}")
+        self.steps.append(f"{self.names[k]} = {short(value)}")
 
     def _derivatives(self, waiting: Sequence[ca.SX]) -> list[ca.SX]:
         followed = ca.vertcat(*self.relations, *waiting)
@@ -340,7 +343,7 @@ class _Elimination:
         for start in range(len(rows) - len(momenta) + 1):
             chosen = rows[start : start + len(momenta)]
             _, (determinant,) = self.exact(_determinant(matrix[chosen, :]))
-            if not determinant.is_zero() and _never_zero(determinant):
+            if not determinant.is_zero() and never_zero(determinant):
                 for k in momenta:
                     self._assign_zero(k)
                 return [w for i, w in enumerate(waiting) if i not in rows]
@@ -391,125 +394,5 @@ def invariant_set(flow_: Flow, fixed: ca.SX | None = None, extra: ca.SX | None =
     )
 
 
-# --- simplification of one equation ---------------------------------------------------------------------------------
-
-
-def _parts(value: Quotient) -> list[Quotient]:
-    """``value = 0`` as several equations: a sum of terms of one sign vanishes only if each does."""
-    field_ = value.field
-    terms = value.numerator.to_dict()
-    for sign in (1, -1):
-        if len(terms) > 1 and all(
-            nonnegative(field_.polynomial(field_.context.from_dict({e: c * sign}))) for e, c in terms.items()
-        ):
-            return [field_.polynomial(field_.context.from_dict({e: c})) for e, c in terms.items()]
-    return [field_.polynomial(value.numerator)]
-
-
-def _essential(value: Quotient) -> Quotient | None:
-    """The factor that must vanish, or None when there is none or more than one to choose from."""
-    field_ = value.field
-    if len(value.numerator) > _MOST_FACTORED:
-        return value
-    _, factors = value.numerator.factor()
-    candidates: list[Quotient] = []
-    for factor, _ in factors:
-        element = _through_monotone(field_.polynomial(factor))
-        if not _never_zero(element):
-            candidates.append(element)
-    unique = {str(c.numerator): c for c in candidates}
-    return next(iter(unique.values())) if len(unique) == 1 else None
-
-
-def _through_monotone(element: Quotient) -> Quotient:
-    """An atom T(xi) of an odd increasing function vanishes where xi does."""
-    terms = element.numerator.to_dict()
-    if len(terms) != 1:
-        return element
-    ((exponents, _),) = terms.items()
-    used = [k for k, e in enumerate(exponents) if e]
-    if len(used) != 1 or exponents[used[0]] != 1:
-        return element
-    atom = element.field.atoms.get(used[0])
-    return element.field.polynomial(atom.argument.numerator) if atom and atom.kind in _MONOTONE_KINDS else element
-
-
-def _never_zero(element: Quotient) -> bool:
-    if element.constant() is not None:
-        return not element.is_zero()
-    return positive(element) or positive(-element)
-
-
-def linear_in(element: Quotient, k: int) -> Quotient | None:
-    """The rest of ``element = c (v_k + rest)`` with v_k nowhere else and a constant c, or None."""
-    field_ = element.field
-    coefficient = fmpq(0)
-    rest: dict[tuple[int, ...], fmpq] = {}
-    inside = {a for a, atom in field_.atoms.items() if k in atom.argument.symbols()}
-    for exponents, value in element.numerator.to_dict().items():
-        power = int(exponents[k])
-        if any(exponents[a] for a in inside):
-            return None
-        if power == 0:
-            rest[tuple(exponents)] = value
-        elif power == 1 and sum(exponents) == 1:
-            coefficient = value
-        else:
-            return None
-    if coefficient == 0:
-        return None
-    polynomial: fmpq_mpoly = field_.context.from_dict(rest)
-    return field_.polynomial(polynomial / coefficient)
-
-
-def _affine(value: Quotient, count: int) -> Row | None:
-    """The coefficients of a function that is affine in the first ``count`` symbols, or None."""
-    if not value.is_polynomial():
-        return None
-    row: Row = {}
-    for exponents, coefficient in value.numerator.to_dict().items():
-        used = [k for k, e in enumerate(exponents) if e]
-        if len(used) > 1 or (used and (exponents[used[0]] != 1 or used[0] >= count)):
-            return None
-        row[used[0] if used else CONSTANT] = coefficient
-    return row
-
-
-def _eliminated(row: Row, solved: Mapping[int, Row]) -> Row:
-    """The row with ``v_k = -solved[k]`` inserted."""
-    result = {key: c for key, c in row.items() if key not in solved}
-    for key, weight in row.items():
-        for other, c in solved.get(key, {}).items():  # type: ignore[call-overload]
-            result[other] = result.get(other, fmpq(0)) - weight * c
-    return {key: c for key, c in result.items() if c != 0}
-
-
-def _combination(field_: Field, row: Row) -> Quotient:
-    """``-row`` as a function."""
-    size = field_.symbol_count + field_.pool
-    terms = {tuple(int(k == key) for k in range(max(size, 1))): -c for key, c in row.items()}
-    return field_.polynomial(field_.context.from_dict(terms))
-
-
-def _is_combination(target: Mapping[Exponents, fmpq], zeros: Sequence[Mapping[Exponents, fmpq]]) -> bool:
-    """Whether a polynomial is a combination of others with rational coefficients."""
-    rows: dict[Exponents, Row] = {}
-    for key, coefficient in target.items():
-        rows.setdefault(key, {})[CONSTANT] = -coefficient
-    for k, zero in enumerate(zeros):
-        for key, coefficient in zero.items():
-            rows.setdefault(key, {})[k] = coefficient
-    try:
-        reduce_rows(rows.values())
-    except Inconsistent:
-        return False
-    return True
-
-
 def _determinant(matrix: ca.SX) -> ca.SX:
     return ca.det(matrix) if matrix.shape[0] > 1 else matrix[0, 0]
-
-
-def _short(value: Quotient) -> str:
-    text = formula(value)
-    return text if len(text) <= 60 else "an expression of the others"

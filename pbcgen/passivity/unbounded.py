@@ -17,8 +17,8 @@ import casadi as ca
 from flint import fmpq
 
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.passivity.equation import linear_in
 from pbcgen.passivity.inertia import missing_for_growth
-from pbcgen.passivity.lasalle import linear_in
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, positive_semidefinite

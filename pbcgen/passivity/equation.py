@@ -1,0 +1,139 @@
+"""What follows from one equation ``value = 0`` of exact functions: its parts, its factors, what it is linear in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from flint import fmpq, fmpq_mpoly
+
+from pbcgen.proof.nonnegative import nonnegative, positive
+from pbcgen.symbolic.display import formula
+from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, reduce_rows
+
+#: Equations with more terms are not factored.
+_MOST_FACTORED = 100
+
+Exponents = tuple[int, ...]
+
+#: Odd strictly increasing functions: they vanish only with their argument.
+_MONOTONE_KINDS = frozenset({"tanh", "atan", "asinh", "erf", "asin", "atanh"})
+
+
+def parts(value: Quotient) -> list[Quotient]:
+    """``value = 0`` as several equations: a sum of terms of one sign vanishes only if each does."""
+    field_ = value.field
+    terms = value.numerator.to_dict()
+    for sign in (1, -1):
+        if len(terms) > 1 and all(
+            nonnegative(field_.polynomial(field_.context.from_dict({e: c * sign}))) for e, c in terms.items()
+        ):
+            return [field_.polynomial(field_.context.from_dict({e: c})) for e, c in terms.items()]
+    return [field_.polynomial(value.numerator)]
+
+
+def essential(value: Quotient) -> Quotient | None:
+    """The factor that must vanish, or None when there is none or more than one to choose from."""
+    field_ = value.field
+    if len(value.numerator) > _MOST_FACTORED:
+        return value
+    _, factors = value.numerator.factor()
+    candidates: list[Quotient] = []
+    for factor, _ in factors:
+        element = _through_monotone(field_.polynomial(factor))
+        if not never_zero(element):
+            candidates.append(element)
+    unique = {str(c.numerator): c for c in candidates}
+    return next(iter(unique.values())) if len(unique) == 1 else None
+
+
+def _through_monotone(element: Quotient) -> Quotient:
+    """An atom T(xi) of an odd increasing function vanishes where xi does."""
+    terms = element.numerator.to_dict()
+    if len(terms) != 1:
+        return element
+    ((exponents, _),) = terms.items()
+    used = [k for k, e in enumerate(exponents) if e]
+    if len(used) != 1 or exponents[used[0]] != 1:
+        return element
+    atom = element.field.atoms.get(used[0])
+    return element.field.polynomial(atom.argument.numerator) if atom and atom.kind in _MONOTONE_KINDS else element
+
+
+def never_zero(element: Quotient) -> bool:
+    """Whether the function is proved to vanish nowhere."""
+    if element.constant() is not None:
+        return not element.is_zero()
+    return positive(element) or positive(-element)
+
+
+def linear_in(element: Quotient, k: int) -> Quotient | None:
+    """The rest of ``element = c (v_k + rest)`` with v_k nowhere else and a constant c, or None."""
+    field_ = element.field
+    coefficient = fmpq(0)
+    rest: dict[tuple[int, ...], fmpq] = {}
+    inside = {a for a, atom in field_.atoms.items() if k in atom.argument.symbols()}
+    for exponents, value in element.numerator.to_dict().items():
+        power = int(exponents[k])
+        if any(exponents[a] for a in inside):
+            return None
+        if power == 0:
+            rest[tuple(exponents)] = value
+        elif power == 1 and sum(exponents) == 1:
+            coefficient = value
+        else:
+            return None
+    if coefficient == 0:
+        return None
+    polynomial: fmpq_mpoly = field_.context.from_dict(rest)
+    return field_.polynomial(polynomial / coefficient)
+
+
+def affine(value: Quotient, count: int) -> Row | None:
+    """The coefficients of a function that is affine in the first ``count`` symbols, or None."""
+    if not value.is_polynomial():
+        return None
+    row: Row = {}
+    for exponents, coefficient in value.numerator.to_dict().items():
+        used = [k for k, e in enumerate(exponents) if e]
+        if len(used) > 1 or (used and (exponents[used[0]] != 1 or used[0] >= count)):
+            return None
+        row[used[0] if used else CONSTANT] = coefficient
+    return row
+
+
+def eliminated(row: Row, solved: Mapping[int, Row]) -> Row:
+    """The row with ``v_k = -solved[k]`` inserted."""
+    result = {key: c for key, c in row.items() if key not in solved}
+    for key, weight in row.items():
+        for other, c in solved.get(key, {}).items():  # type: ignore[call-overload]
+            result[other] = result.get(other, fmpq(0)) - weight * c
+    return {key: c for key, c in result.items() if c != 0}
+
+
+def combination(field_: Field, row: Row) -> Quotient:
+    """``-row`` as a function."""
+    size = field_.symbol_count + field_.pool
+    terms = {tuple(int(k == key) for k in range(max(size, 1))): -c for key, c in row.items()}
+    return field_.polynomial(field_.context.from_dict(terms))
+
+
+def is_combination(target: Mapping[Exponents, fmpq], zeros: Sequence[Mapping[Exponents, fmpq]]) -> bool:
+    """Whether a polynomial is a combination of others with rational coefficients."""
+    rows: dict[Exponents, Row] = {}
+    for key, coefficient in target.items():
+        rows.setdefault(key, {})[CONSTANT] = -coefficient
+    for k, zero in enumerate(zeros):
+        for key, coefficient in zero.items():
+            rows.setdefault(key, {})[k] = coefficient
+    try:
+        reduce_rows(rows.values())
+    except Inconsistent:
+        return False
+    return True
+
+
+def short(value: Quotient) -> str:
+    """The function as a formula, if that is short."""
+    text = formula(value)
+    return text if len(text) <= 60 else "an expression of the others"
