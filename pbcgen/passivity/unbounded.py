@@ -28,6 +28,7 @@ from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO, Real, rational, sign
+from pbcgen.symbolic.terms import terms
 
 
 @dataclass(frozen=True)
@@ -132,8 +133,8 @@ def _split(value: Quotient, variables: Sequence[int], states: int) -> tuple[Real
     linear = [fmpq(0)] * size
     small = True
     position = {k: i for i, k in enumerate(variables)}
-    for exponents, coefficient in value.numerator.to_dict().items():
-        used = [k for k, e in enumerate(exponents) for _ in range(int(e))]
+    for index, (powers, coefficient) in enumerate(terms(value.numerator)):
+        used = [k for k, e in powers for _ in range(e)]
         symbols = [k for k in used if k < field.symbol_count]
         if len(symbols) == len(used) and len(used) <= 2 and all(k in position for k in symbols):
             places = [position[k] for k in symbols]
@@ -144,6 +145,7 @@ def _split(value: Quotient, variables: Sequence[int], states: int) -> tuple[Real
             elif len(places) == 1:
                 linear[places[0]] += coefficient
         else:
+            exponents = value.numerator.monomial(index)
             term = field.polynomial(field.context.from_dict({exponents: coefficient}))
             if term_bounds(term, {}).hi is not None or nonnegative(term):
                 continue
