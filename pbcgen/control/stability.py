@@ -61,7 +61,7 @@ def stability(situation: Situation, h: Fraction, sampling: Sampling | None = Non
         overall,
         sampling or Sampling(),
     )
-    claims = (_stable(continuous, by_lyapunov, premises, missing), asymptotic, overall, sampled)
+    claims = (_stable(continuous, by_lyapunov, premises, missing, situation), asymptotic, overall, sampled)
     return StabilityVerdicts(claims, continuous.extreme, routes.spectral.extreme, routes.largest, routes.figures)
 
 
@@ -73,7 +73,9 @@ def _certificate(verdict: Stability) -> dict[str, object]:
     return {"routh": [f"{approximate(v):.17g}" for v in verdict.routh]}
 
 
-def _stable(continuous: Stability, by_lyapunov: bool, premises: Sequence[str], missing: Sequence[str]) -> Claim:
+def _stable(
+    continuous: Stability, by_lyapunov: bool, premises: Sequence[str], missing: Sequence[str], situation: Situation
+) -> Claim:
     if by_lyapunov:
         return Claim("stable", Status.PROVED, "near x*", LYAPUNOV, "follows from " + ", ".join(premises))
     if continuous.status is Status.PROVED:
@@ -81,7 +83,7 @@ def _stable(continuous: Stability, by_lyapunov: bool, premises: Sequence[str], m
         method = _method(continuous)
         return Claim("stable", Status.PROVED, "near x*", method, evidence, certificate=_certificate(continuous))
     if continuous.status is Status.REFUTED:
-        return _unstable("stable", continuous, missing)
+        return _unstable("stable", continuous, situation)
     return Claim(
         "stable",
         Status.UNDECIDED,
@@ -112,7 +114,7 @@ def _asymptotic(continuous: Stability, by_lyapunov: bool, missing: Sequence[str]
             certificate=_certificate(continuous),
         )
     if continuous.status is Status.REFUTED:
-        return _unstable("asymptotically-stable", continuous, missing)
+        return _unstable("asymptotically-stable", continuous, situation)
     decided = beyond_linearisation(situation, by_lyapunov)
     if decided is not None:
         return decided
@@ -126,14 +128,23 @@ def _asymptotic(continuous: Stability, by_lyapunov: bool, missing: Sequence[str]
     )
 
 
-def _unstable(claim: str, continuous: Stability, missing: Sequence[str]) -> Claim:
-    where = "raise alpha*beta where the target is unstable without control"
+def _unstable(claim: str, continuous: Stability, situation: Situation) -> Claim:
     return Claim(
         claim,
         Status.REFUTED,
         "near x*",
         _method(continuous),
         f"the linearised closed loop has an eigenvalue with real part {continuous.extreme:.6g} > 0",
-        f"satisfy {', '.join(missing)}; {where}" if missing else where,
+        _remedy(situation),
         {"spectral_abscissa": f"{continuous.extreme:.9g}"},
     )
+
+
+def _remedy(situation: Situation) -> str:
+    """What would make x* stable: the premises that fail, or less of the only filter that has none."""
+    law = situation.law
+    base = law.base if isinstance(law, Integral) else law
+    missing = [name for name in lyapunov_premises(base) if situation.found[name].status is not Status.PROVED]
+    if missing:
+        return "satisfy " + ", ".join(missing)
+    return "lower alpha_psi*beta_psi or raise R_psi: without the filter psi the loop is stable"

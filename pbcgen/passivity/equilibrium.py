@@ -374,11 +374,14 @@ def _give_less(plant: Plant, design: Design) -> str:
         return "choose a point that an input can hold"
     names = ", ".join(f"`{name}`" for name in given)
     there = "is 1 input" if inputs == 1 else f"are {inputs} inputs"
-    return f"the target gives {names}, and there {there}: leave {len(given) - inputs} open"
+    leave = f"leave {len(given) - inputs} open, and say in near={{...}} about where they are"
+    return f"the target gives {names}, and there {there}: {leave}"
 
 
 def _pairs(values: Mapping[str, float]) -> str:
-    return ", ".join(f"{k} = {v:.9g}" for k, v in values.items())
+    """``name = value, ...``; what is rounding beside the other entries is shown as zero."""
+    noise = 1e-12 * max(1.0, *(abs(v) for v in values.values()))
+    return ", ".join(f"{k} = {v if abs(v) > noise else 0:.9g}" for k, v in values.items())
 
 
 def input_rank(plant: Plant, point: Point) -> Claim:

@@ -225,7 +225,10 @@ def _hessian_claim(
         return Claim("hessian-condition", Status.PROVED, "at x*", method, evidence)
     given = ", ".join(f"{float(v):.6g}" for v in alpha_beta)
     if minimum is None:
-        hint = "no alpha*beta helps: the storage must be positive where gamma does not act; choose another target"
+        hint = (
+            "no alpha*beta helps: the storage has no minimum at x* in the directions that gamma does not act on; "
+            "choose another target"
+        )
     else:
         hint = f"alpha*beta must exceed {', '.join(f'{v:.9g}' for v in minimum)}; it is {given}"
     evidence = f"hess S_d(x*) is not positive definite, smallest eigenvalue {smallest:.6g}"

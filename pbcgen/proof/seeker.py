@@ -68,8 +68,8 @@ class Seeker:
         self.n = int(q.variables.numel())
         self.lower = np.array([-np.inf if lo is None else float(lo) for lo, _ in q.bounds])
         self.upper = np.array([np.inf if hi is None else float(hi) for _, hi in q.bounds])
-        depends = ca.which_depends(value, q.variables, 1, False)
-        self.active = [k for k in range(self.n) if depends[k]]
+        depends = [ca.which_depends(e, q.variables, 1, False) for e in (value, q.value)]  # h/scale may be constant
+        self.active = [k for k in range(self.n) if any(d[k] for d in depends)]
 
     def affordable(self, share: float) -> int:
         """How many states may be evaluated with a share of the budget."""

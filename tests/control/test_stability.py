@@ -5,7 +5,7 @@ import time
 import casadi as ca
 import pytest
 
-from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical, PassiveOutput
+from pbcgen import AffineSystem, Design, DynamicExtension, Integral, Mechanical, PassiveOutput
 from pbcgen.control.derive import derive
 from pbcgen.proof.claim import Status
 
@@ -103,6 +103,30 @@ def test_stable_is_never_proved_where_the_linearisation_is_unstable(model):
     assert claims["stable"].status is not PROVED
     assert claims["asymptotically-stable"].status is not PROVED
     assert claims["hessian-condition"].status is not PROVED
+
+
+def test_growth_of_the_storage_in_every_direction_is_refuted():
+    x, u = ca.SX.sym("x"), ca.SX.sym("u")
+    claims = _claims(AffineSystem([x], [u], [x], [1], x**2 / 2), {"x": 1})
+    assert claims["assumption-1"].status is REFUTED
+
+
+@pytest.mark.parametrize(
+    ("gains", "hint"),
+    [
+        ({"alpha": 3, "beta": 2, "K_c": 20}, "lower alpha_psi*beta_psi or raise R_psi"),
+        ({"alpha": 1, "beta": 1, "K_c": 20}, "satisfy hessian-condition"),
+    ],
+)
+def test_the_hint_for_an_unstable_integral_law_names_what_makes_it_unstable(gains, hint):
+    """The inverted pendulum with m g l = 2: alpha beta = 6 holds it, 1 does not; a strong filter upsets it."""
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    system = Mechanical([q], [p], M=[1], V=2 * ca.cos(q), D=[0.1], G=[1])
+    law = Integral(DynamicExtension(**gains, R_c=1), alpha_psi=5, beta_psi=5, R_psi=0)
+    derivation = derive(Design(system, {"q": 0}, law, sample_period="1e-3", name="d"))
+    claims = {c.claim: c for c in derivation.claims}
+    assert claims["asymptotically-stable"].status is REFUTED
+    assert claims["asymptotically-stable"].hint.startswith(hint)
 
 
 @pytest.mark.parametrize(("gamma", "status"), [(1, PROVED), (-1, UNDECIDED)])

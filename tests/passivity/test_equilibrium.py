@@ -109,6 +109,7 @@ def test_a_point_that_is_not_assignable_is_refuted_with_residual_and_nearest_poi
     assert found.claim.status is Status.REFUTED
     assert "0.1" in found.claim.counterexample["residual"]
     assert found.claim.counterexample["nearest"]["y"] == pytest.approx(0, abs=1e-9)
+    assert "e-" not in found.claim.hint  # what is rounding is shown as zero
 
 
 def test_a_target_outside_the_domain_is_refuted():

@@ -113,3 +113,8 @@ def test_the_point_is_short():
     found = refute(_question(X[0] - 1))
     assert found.point is not None
     assert all(v.denominator <= 10**3 for v in found.point)
+
+
+def test_a_function_that_is_its_own_scale_is_refuted():
+    """h / scale is the constant -1, so the ratio alone does not say which variables to move."""
+    assert _refuted(-(X[0] ** 2), scale=X[0] ** 2)
