@@ -201,9 +201,9 @@ class PotentialCompensation(_OneFilter):
 class Integral:
     """Law (conint), (dpsi): the law ``base`` and a filter psi of the position error, ``-alpha_psi tanh(beta_psi psi)``.
 
-    ``psi' = -R_psi psi + alpha_psi beta_psi sech(beta_psi psi) (gamma - gamma_*)``, with gamma = q for a robot arm. Near
-    rest this is an integral term of (alpha_psi beta_psi)^2 per unit of error and second; it slows down as alpha_psi is used
-    up.
+    ``psi' = -R_psi psi + alpha_psi beta_psi sech(beta_psi psi) (gamma - gamma_*)``, with gamma = q for a robot arm.
+    Near rest this is an integral term of (alpha_psi beta_psi)^2 per unit of error and second; it slows down
+    as alpha_psi is used up.
 
     Attributes:
         base: the law that the filter is added to.
