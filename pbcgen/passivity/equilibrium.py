@@ -380,7 +380,7 @@ def _give_less(plant: Plant, design: Design) -> str:
 
 def _pairs(values: Mapping[str, float]) -> str:
     """``name = value, ...``; what is rounding beside the other entries is shown as zero."""
-    noise = 1e-12 * max(1.0, *(abs(v) for v in values.values()))
+    noise = 1e-15 * max((abs(v) for v in values.values()), default=0.0)
     return ", ".join(f"{k} = {v if abs(v) > noise else 0:.9g}" for k, v in values.items())
 
 
