@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from pbcgen.control.attractivity import Situation, beyond_linearisation, globally
+from pbcgen.control.attractivity import Situation, beyond_linearisation
+from pbcgen.control.global_attraction import globally
 from pbcgen.control.sampled import Sampling, decide
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput
 from pbcgen.proof.claim import Claim, Status

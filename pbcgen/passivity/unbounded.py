@@ -17,18 +17,27 @@ import casadi as ca
 from flint import fmpq
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.passivity.equation import linear_in
-from pbcgen.passivity.inertia import missing_for_growth
+from pbcgen.passivity.coordinates import proper
+from pbcgen.passivity.inertia import missing_for_definiteness, missing_for_growth
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, positive_semidefinite
 from pbcgen.proof.elimination import definite
 from pbcgen.proof.extrema import term_bounds
 from pbcgen.proof.nonnegative import nonnegative
+from pbcgen.proof.sos import sum_of_squares
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
-from pbcgen.symbolic.real import ZERO, Real, rational, sign
+from pbcgen.symbolic.real import ZERO, Real, fraction, rational, sign
 from pbcgen.symbolic.terms import terms
+
+#: Forms are sought for functions of at most so many states, with these factors and constants.
+_MOST_OUTGROWN = 16
+_MARGINS = tuple((Fraction(1, 10**k), Fraction(10) ** (k + 1)) for k in (0, 1, 2, 4))
+#: What stands for any constant: it is as large as one likes.
+_HUGE = 10**9
+#: Semidefinite programming is used for functions of at most so many states and atoms.
+_MOST_IN_PROGRAMME = 4
 
 
 @dataclass(frozen=True)
@@ -46,78 +55,224 @@ def radially_unbounded(
     try:
         if plant.system.circuit is not None and _circuit(plant, gamma):
             return Growth(True, "S is a positive definite form of grad P, and x -> grad P has a continuous inverse")
-        return _quadratic(plant, gamma, alpha, kappa, compensated)
+        return _by_terms(plant, gamma, alpha, kappa, compensated)
     except (UnsupportedOperation, ZeroDivisionError) as reason:
         return Growth(False, str(reason))
 
 
 def _circuit(plant: Plant, gamma: ca.SX) -> bool:
-    """Whether x -> w = grad P is solved for x one coordinate at a time, each linear with a constant coefficient.
+    """Whether x is bounded where w = grad P is.
 
     gamma must be ``-g_tilde^T Xi w``, which no quadratic form of w is outgrown by.
     """
+    return depends_on_currents(plant, gamma) and proper(plant, *currents(plant))
+
+
+def depends_on_currents(plant: Plant, gamma: ca.SX) -> bool:
+    """Whether ``S = w^T Xi w / 2`` and ``gamma = -g_tilde^T Xi w + constant`` with w = grad P and constant Xi > 0."""
     circuit = plant.system.circuit
     if circuit is None or ca.depends_on(circuit.Xi, plant.system.x) or ca.depends_on(circuit.g_tilde, plant.system.x):
         return False
     other = gamma + ca.mtimes(circuit.g_tilde.T, ca.mtimes(circuit.Xi, circuit.P_gradient))
-    field, (w, weight, difference) = plant.exact(circuit.P_gradient, circuit.Xi, other)
+    field, (weight, difference) = plant.exact(circuit.Xi, other)
     zero = field.const(0)
-    if not definite(weight.dense(zero)) or any(entry.constant() is None for entry in difference.column(zero)):
-        return False
-    equations = w.column(zero)
-    left = set(range(plant.system.n))
-    used: set[int] = set()
-    while left:
-        step = _triangular_step(equations, left, used)
-        if step is None:
-            return False
-        left.discard(step[0])
-        used.add(step[1])
-    return True
+    return definite(weight.dense(zero)) and all(entry.constant() is not None for entry in difference.column(zero))
 
 
-def _triangular_step(equations: Sequence[Quotient], left: set[int], used: set[int]) -> tuple[int, int] | None:
-    """A state that an unused equation gives from states found before."""
-    for i, equation in enumerate(equations):
-        if i in used or not equation.is_polynomial():
-            continue
-        unknown = equation.symbols() & left
-        if len(unknown) == 1:
-            k = next(iter(unknown))
-            if linear_in(equation, k) is not None:
-                return k, i
-    return None
+def currents(plant: Plant) -> tuple[ca.SX, list[ca.SX], list[int]]:
+    """w = grad P, its variables, and signs with which its Jacobian is definite where every branch has a resistance."""
+    circuit, system = plant.system.circuit, plant.system
+    assert circuit is not None
+    inductors = circuit.currents
+    return circuit.P_gradient, ca.vertsplit(system.x), [1] * inductors + [-1] * (system.n - inductors)
 
 
-def _quadratic(
+@dataclass(frozen=True, eq=False)
+class _Energy:
+    """What has to grow: a function of some of the states, while what is left of S bounds the other states.
+
+    Attributes:
+        value: the function, for which only ln cosh terms and ``kappa^T gamma`` come on top.
+        variables: positions of the states that it depends on.
+        missing: why the other states may not be bounded where S and these states are; empty if they are.
+    """
+
+    value: ca.SX
+    variables: list[int]
+    missing: str
+
+
+def _energy(plant: Plant, gamma: ca.SX, compensated: bool) -> _Energy:
+    """S; for a mechanical system the potential energy, because M(q) > 0 bounds p where S and q are bounded."""
+    system, mechanics = plant.system, plant.system.mechanical
+    if mechanics is None:
+        return _Energy(system.S, list(range(system.n)), "")
+    missing = missing_for_growth(plant) if ca.depends_on(gamma, mechanics.p) else missing_for_definiteness(plant)
+    return _Energy(ca.SX(0) if compensated else mechanics.V, list(range(system.n // 2)), missing)
+
+
+def _by_terms(
     plant: Plant, gamma: ca.SX, alpha: Sequence[Fraction], kappa: Sequence[Real], compensated: bool
 ) -> Growth:
-    system = plant.system
-    mechanics = system.mechanical
-    if mechanics is not None:
-        reason = missing_for_growth(plant)
-        if reason:
-            return Growth(False, reason)
-        variables = list(range(system.n // 2))
-        rest = ca.SX(0) if compensated else mechanics.V
-    else:
-        variables = list(range(system.n))
-        rest = system.S
-    field, (value, slope) = plant.exact(rest, ca.jacobian(gamma, system.x))
+    """S outgrows a semidefinite form; on its kernel, the ln cosh terms must outgrow the rest."""
+    energy = _energy(plant, gamma, compensated)
+    if energy.missing:
+        return Growth(False, energy.missing)
+    field, (value, slope) = plant.exact(energy.value, ca.jacobian(gamma, plant.system.x))
     zero = field.const(0)
+    force = [ZERO] * len(kappa) if compensated else list(kappa)
     rows = [[entry.constant() for entry in row] for row in slope.dense(zero)]
-    if any(entry is None for row in rows for entry in row):
-        return Growth(False, "gamma is not affine, so its growth is not known")
-    split = _split(value.scalar(zero), variables, system.n)
+    affine = [None not in row for row in rows]
+    weak = [i for i, a in enumerate(affine) if not a and sign(rational(alpha[i]) - abs(force[i])) not in (0, 1)]
+    if weak:
+        i = weak[0] + 1
+        return Growth(
+            False, f"gamma_{i} is not affine, and alpha_{i} is less than |kappa_{i}|: its growth is not known"
+        )
+    function, variables = value.scalar(zero), energy.variables
+    found = _quadratic(function, variables, plant.system.n)
+    if isinstance(found, str):
+        found = _outgrown(plant, function, variables) or found
+    if isinstance(found, str):
+        return Growth(False, found)
+    form, linear = found
+    gammas = [
+        [row[k] or fmpq(0) for k in variables] if a else [fmpq(0)] * len(variables)
+        for row, a in zip(rows, affine, strict=True)
+    ]
+    grown = _on_kernel(form, linear, gammas, alpha, force)
+    if grown.proved or all(affine):
+        return grown
+    return _in_coordinates(
+        plant, gamma, (form, linear), energy, [a - abs(k) for a, k in zip(map(rational, alpha), force, strict=True)]
+    )
+
+
+def _in_coordinates(
+    plant: Plant, gamma: ca.SX, split: tuple[RealMatrix, list[fmpq]], energy: _Energy, room: Sequence[Real]
+) -> Growth:
+    """With nonlinear gamma: what the form and the ln cosh terms with alpha > |kappa| bound must bound all states."""
+    form, linear = split
+    x = plant.system.x
+    solved = reduce_rows([dict(enumerate(row)) for row in form])
+    rows = [[row.get(k, fmpq(0)) if k != p else fmpq(1) for k in range(len(linear))] for p, row in solved.items()]
+    if any(_dot(linear, v) != 0 for v in _kernel(form)):
+        return Growth(False, "the linear part of S is not outgrown, and gamma is not affine")
+    states = [x[k] for k in energy.variables]
+    forms = [sum((plant.number(fraction(c)) * s for c, s in zip(row, states, strict=True)), ca.SX(0)) for row in rows]
+    outgrown = [gamma[i] for i, left in enumerate(room) if sign(left) == 1]
+    functions = ca.vertcat(ca.SX(0, 1), *forms, *outgrown)
+    others = [k for k in range(plant.system.n) if k not in energy.variables]
+    if functions.numel() and not ca.depends_on(functions, x[others]) and proper(plant, functions, states):
+        return Growth(
+            True, "S outgrows a quadratic form and ln cosh outgrows kappa^T gamma in coordinates that fix the state"
+        )
+    return Growth(False, "there are directions in which neither S nor gamma is known to grow")
+
+
+def _quadratic(value: Quotient, variables: Sequence[int], states: int) -> tuple[RealMatrix, list[fmpq]] | str:
+    """The semidefinite form and the linear part of S, whose other terms are outgrown by the form or nonnegative."""
+    split = _split(value, variables, states)
     if split is None:
-        return Growth(False, "S is not a quadratic form plus terms of less growth")
+        return "S is not a quadratic form plus terms of less growth"
     form, linear, small = split
     if not small and _kernel(form):
-        return Growth(False, "S has terms beside its quadratic form that grow, and the form is not definite")
+        return "S has terms beside its quadratic form that grow, and the form is not definite"
     if positive_semidefinite(form).status is not Status.PROVED:
-        return Growth(False, "the quadratic part of S is not positive semidefinite")
-    gammas = [[row[k] or fmpq(0) for k in variables] for row in rows]
-    return _on_kernel(form, linear, gammas, alpha, [ZERO] * len(kappa) if compensated else kappa)
+        return "the quadratic part of S is not positive semidefinite"
+    return form, linear
+
+
+def _outgrown(plant: Plant, value: Quotient, variables: Sequence[int]) -> tuple[RealMatrix, list[fmpq]] | None:
+    """A semidefinite form that S, without its linear part, outgrows: ``S + constant >= form``.
+
+    The form has as its kernel the directions in which S, its linear and bounded terms set apart, does not change at
+    all. Where that is too much, the squares of single combinations are tried, and those that are outgrown added up.
+    """
+    if len(variables) > _MOST_OUTGROWN:
+        return None
+    field, size = value.field, len(variables)
+    position = {k: i for i, k in enumerate(variables)}
+    linear, rest = [fmpq(0)] * size, field.const(0)
+    whole = value
+    if value.is_polynomial():
+        kept = {}
+        for exponents, c in value.numerator.to_dict().items():
+            used = [k for k, e in enumerate(exponents) for _ in range(int(e))]
+            if len(used) == 1 and used[0] in position:
+                linear[position[used[0]]] += c
+            elif term_bounds(field.polynomial(field.context.from_dict({exponents: c})), {}).hi is None:
+                kept[exponents] = c
+        whole = field.polynomial(field.context.from_dict(kept)) + rest
+    rows = _changing(plant, whole, variables)
+    if rows is None:
+        return None
+    squares = [_square(field, row, variables) for row in rows]
+    form: RealMatrix = [[sum((r[i] * r[j] for r in rows), fmpq(0)) for j in range(size)] for i in range(size)]
+    if squares and _above(whole, sum(squares, field.const(0))):
+        return form, linear
+    single = [row for row, square in zip(rows, squares, strict=True) if _above(whole, square)]
+    form = [[sum((r[i] * r[j] for r in single), fmpq(0)) for j in range(size)] for i in range(size)]
+    return (form, linear) if single else None
+
+
+def _changing(plant: Plant, value: Quotient, variables: Sequence[int]) -> list[list[fmpq]] | None:
+    """Linear functions that fix S: a basis of the rows v with ``v^T d = 0`` wherever S does not change along d."""
+    slopes = ca.gradient(plant.expression(value), plant.system.x[list(variables)])
+    field, (gradient,) = plant.exact(slopes)
+    entries = gradient.column(field.const(0))
+    common = field.const(1)
+    for entry in entries:
+        common = (
+            common * field.polynomial(entry.denominator) / field.polynomial(common.numerator.gcd(entry.denominator))
+        )
+    rows: dict[object, Row] = {}
+    for k, entry in enumerate(entries):
+        cleared = entry * common
+        if not cleared.is_polynomial():
+            return None
+        for exponents, c in cleared.numerator.to_dict().items():
+            rows.setdefault(tuple(exponents), {})[k] = c
+    solved = reduce_rows(rows.values())
+    return [[fmpq(1) if k == p else row.get(k, fmpq(0)) for k in range(len(entries))] for p, row in solved.items()]
+
+
+def _square(field: Field, row: Sequence[fmpq], variables: Sequence[int]) -> Quotient:
+    """``(sum row_k x_k)^2``."""
+    total = field.const(0)
+    for c, k in zip(row, variables, strict=True):
+        total = total + field.symbol(k) * field.const(fraction(c))
+    return total * total
+
+
+def _above(value: Quotient, square: Quotient) -> bool:
+    """Whether ``value + C - c square >= 0`` is proved for some positive constants; only c is tried."""
+    field = value.field
+    helped = _with_lower_powers(value) + field.const(_HUGE**3)
+    for c, C in _MARGINS:
+        if nonnegative(helped - field.const(c) * square):
+            return True
+        few = value.is_polynomial() and len(value.generators()) <= _MOST_IN_PROGRAMME
+        if few and sum_of_squares(value + field.const(C) - field.const(c) * square, {}) is not None:
+            return True
+    return False
+
+
+def _with_lower_powers(value: Quotient) -> Quotient:
+    """A function that ``value`` plus a constant exceeds: half of an even power outgrows any multiple of lower ones."""
+    if not value.is_polynomial():
+        return value
+    field, terms_ = value.field, dict(value.numerator.to_dict())
+    for exponents, c in list(terms_.items()):
+        used = [k for k, e in enumerate(exponents) if e]
+        degree = int(exponents[used[0]]) if len(used) == 1 else 0
+        if c <= 0 or degree < 4 or degree % 2 or used[0] >= field.symbol_count:
+            continue
+        terms_[exponents] = terms_[exponents] - c / 2
+        for lower in range(2, degree, 2):
+            power = tuple(lower if e else 0 for e in exponents)
+            terms_[power] = terms_.get(power, fmpq(0)) + _HUGE
+    return field.polynomial(field.context.from_dict(terms_))
 
 
 def _split(value: Quotient, variables: Sequence[int], states: int) -> tuple[RealMatrix, list[fmpq], bool] | None:

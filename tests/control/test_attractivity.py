@@ -7,6 +7,7 @@ import pytest
 
 from pbcgen import (
     AffineSystem,
+    Circuit,
     Design,
     DynamicExtension,
     Integral,
@@ -46,6 +47,62 @@ def test_a_hardening_spring_is_globally_stable_because_its_energy_is_convex():
     q, p = _symbols("q", "p")
     system = Mechanical([q], [p], M=[[1]], V=q**2 / 2 + q**4 / 4, D=[1], G=[[1]])
     assert _statuses(system, {"q": "0.5"}) == ("PROVED", "PROVED", "PROVED")
+
+
+def _oscillator(friction, spring, energy):
+    x, v, u = _symbols("x", "v", "u")
+    rates = [v, -spring(x) - friction(v)]
+    return AffineSystem([x, v], [u], rates, [0, 1], energy(x) + v**2 / 2)
+
+
+@pytest.mark.parametrize(
+    "friction", [ca.tanh, lambda v: v**3, lambda v: v + ca.tanh(9 * v), lambda v: v * ca.sqrt(1 + v**2)]
+)
+def test_a_monotone_spring_is_global_with_any_friction(friction):
+    system = _oscillator(friction, lambda x: x + x**3, lambda x: x**2 / 2 + x**4 / 4)
+    assert _statuses(system, {"x": "0.5"}) == ("PROVED", "PROVED", "PROVED")
+
+
+def test_a_spring_that_turns_is_not_global():
+    system = _oscillator(ca.tanh, lambda x: x**3 - 6 * x, lambda x: x**4 / 4 - 3 * x**2)
+    assert _statuses(system, {"x": "2.5"}) == ("PROVED", "PROVED", "REFUTED")
+
+
+@pytest.mark.parametrize("c3", ["0.5", "0"])
+def test_a_chain_with_stiffening_couplings_is_global(c3):
+    q, p = ca.SX.sym("q", 3), ca.SX.sym("p", 3)
+    stretch = [q[0] - q[1], q[1] - q[2]]
+    V = sum((d**2 / 2 + float(c3) * d**4 for d in stretch), q[2] ** 2 / 2)
+    system = Mechanical(q, p, M=ca.diag(ca.SX([1, 1, 2])), V=V, D=[0, 0, 1], G=[[1], [0], [0]])
+    assert _statuses(system, {"q_0": "0.3"}, near={"q_1": 0, "q_2": 0})[2] == "PROVED"
+
+
+def _two_branches(first, second):
+    i, v = _symbols("i", "v")
+    return Circuit([i], [v], L=[1], C=[1], Gamma=[[1]], v_R=[first(i)], i_G=[second(v)], g_L=[-1])
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (lambda i: i, lambda v: v + v**3),
+        (lambda i: i / 2 + i**3, lambda v: v + ca.tanh(v)),
+        (lambda i: i, lambda v: ca.exp(v) - 1),
+        (lambda i: i, lambda v: v**5),
+    ],
+)
+def test_a_circuit_of_monotone_resistors_is_global(first, second):
+    claims = _claims(_two_branches(first, second), {"v": "0.5"}, near={"i": 1})
+    assert claims["globally-asymptotically-stable"].status == "PROVED"
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [(lambda i: i, lambda v: 3 * v**3 - v), (lambda i: i**3 - i / 9, lambda v: v), (lambda i: -2 * i, lambda v: v)],
+)
+def test_a_circuit_with_a_falling_characteristic_is_not_proved_global(first, second):
+    claims = _claims(_two_branches(first, second), {"v": "0.5"}, near={"i": 1})
+    assert claims["globally-asymptotically-stable"].status != "PROVED"
 
 
 def test_a_softening_spring_has_other_equilibria():

@@ -25,6 +25,14 @@ GROWING = {
     "the square of linear plus bounded": ((x + ca.tanh(x)) ** 2 + (y - x - 2 * ca.tanh(y)) ** 2,),
     "nonnegative terms": (x**2 + y**2 + y**4 + ca.exp(x),),
     "ln cosh where S does not grow": (y**2, x, "3", "1"),
+    "two wells": (x**4 - 3 * x**2 + y**2,),
+    "a product that a fourth power outgrows": (x**4 + y**2 - 5 * x * y - 7 * x,),
+    "a stiffening coupling": ((x - y) ** 4 + (x - y) ** 2 + y**2,),
+    "a stiffening coupling, and ln cosh": ((x - y) ** 4 - (x - y) ** 2, x, "3", "1"),
+    "a sixth power with a bounded factor below it": (x**6 + y**2 + 9 * x**3 * ca.tanh(y),),
+    "a cubic gamma with enough alpha": (x**2 + y**2, x**3),
+    "a cubic gamma where S does not grow": (y**2, x + x**3, "3", "1"),
+    "a gamma that tilts": (y**2, x + y + ca.sin(x) / 2, "3", "1"),
 }
 FLAT = {
     "a direction without growth": (x**2,),
@@ -37,7 +45,18 @@ FLAT = {
     "alpha below kappa": (y**2, x, "1", "2"),
     "alpha below the slope of S": (y**2 + 4 * x, x, "3", "0"),
     "an exponential term with a sign": (x**2 + y**2 - ca.exp(x),),
-    "gamma not affine": (x**2 + y**2, x**3),
+    "a cubic gamma with too little alpha": (x**2 + y**2, x**3, "1", "2"),
+    "a cubic gamma, and alpha equal to kappa where S does not grow": (y**2, x + x**3, "1", "1"),
+    "a bounded gamma": (y**2, ca.tanh(x), "3", "1"),
+    "a gamma that grows on one side": (y**2, ca.exp(x), "3", "1"),
+    "a gamma that turns": (y**2, x * y + x, "3", "1"),
+    "a linear term that a cubic gamma may not outgrow": (y**2 + 4 * x, x + x**3, "3", "1"),
+    "a valley along an axis": (x**2 * y**2 + x**2,),
+    "a bent valley": ((x * y - 1) ** 2 + x**2,),
+    "a fourth power with a sign": (x**4 - 3 * x**2 * y**2 + y**4,),
+    "a fourth power of a difference": ((x - y) ** 4, x - y, "3", "1"),
+    "an exponential on one side": (ca.exp(x) + y**2, x, "3", "4"),
+    "a product that outgrows the square": (x**4 + y**2 - 5 * x**2 * y,),
 }
 
 

@@ -1,0 +1,150 @@
+"""The claim `globally-asymptotically-stable`: by a storage that grows everywhere, or refuted by another equilibrium."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pbcgen.control.attractivity import Situation
+from pbcgen.control.only_rest import only_rest, storage_is_convex
+from pbcgen.control.other_rest import other_rest
+from pbcgen.errors import UnsupportedOperation
+from pbcgen.models.laws import Integral, NaturalDamping
+from pbcgen.passivity.construction import drift_by_construction
+from pbcgen.passivity.inertia import missing_for_definiteness
+from pbcgen.passivity.unbounded import Growth, radially_unbounded
+from pbcgen.proof.claim import Claim, Status
+from pbcgen.proof.nonnegative import positive
+from pbcgen.symbolic.real import Real, approximate, text
+
+#: Functions that are defined and smooth for every argument.
+_ENTIRE_KINDS = frozenset({"sin", "cos", "exp", "tanh", "atan", "asinh", "erf"})
+#: Functions that are so for every positive argument.
+_POSITIVE_ARGUMENT = frozenset({"sqrt", "log"})
+
+
+def globally(situation: Situation, by_lyapunov: bool, asymptotic: Claim) -> Claim:
+    """The claim `globally-asymptotically-stable`."""
+    if asymptotic.status is Status.REFUTED:
+        return _verdict(
+            Status.REFUTED, asymptotic.method, asymptotic.evidence, asymptotic.hint, asymptotic.counterexample
+        )
+    proved_or_open = _by_storage(situation, by_lyapunov)
+    if proved_or_open.status is Status.PROVED:
+        return proved_or_open
+    found = other_rest(situation)
+    return proved_or_open if found is None else _second(situation, found)
+
+
+def _by_storage(situation: Situation, by_lyapunov: bool) -> Claim:
+    """PROVED by the Lyapunov function, or what is missing for that."""
+    if isinstance(situation.law, Integral):
+        return _verdict(
+            Status.UNDECIDED,
+            "not available",
+            "the linearisation of Prop. pro:int gives local stability only",
+            "use the law without the integral term for a global claim",
+        )
+    missing = _global_premises(situation, by_lyapunov)
+    if missing:
+        return _verdict(Status.UNDECIDED, "Lyapunov function and LaSalle", missing[0], missing[1])
+    growth = _growth(situation)
+    if not growth.proved:
+        return _verdict(
+            Status.UNDECIDED,
+            "radial unboundedness",
+            growth.reason,
+            _to_grow(situation),
+        )
+    unique = only_rest(situation)
+    if unique is None:
+        return _verdict(
+            Status.UNDECIDED,
+            "LaSalle's invariant set by elimination",
+            "it was not proved that x* is the only point of the invariant set",
+            "rely on the local claim; no other equilibrium was found",
+        )
+    return _verdict(
+        Status.PROVED,
+        "Lyapunov function, LaSalle's invariant set and radial unboundedness",
+        f"{growth.reason}; {unique}",
+    )
+
+
+def _verdict(
+    status: Status, method: str, evidence: str, hint: str = "", counterexample: Mapping[str, object] | None = None
+) -> Claim:
+    return Claim("globally-asymptotically-stable", status, "all x", method, evidence, hint, counterexample)
+
+
+def _global_premises(situation: Situation, by_lyapunov: bool) -> tuple[str, str] | None:
+    if not by_lyapunov:
+        return "the Lyapunov function is not available", "satisfy the claims that `stable` needs by the Lyapunov route"
+    needed = ["assumption-1", "passive-output"]
+    if isinstance(situation.base, NaturalDamping):
+        needed.append("assumption-3")
+    for name in needed:
+        if situation.found[name].domain != "all x":
+            return f"{name} holds only on {situation.found[name].domain}", "extend the assumption to the whole space"
+    if situation.plant.system.domain:
+        return (
+            "the model is stated on a domain, not on the whole space",
+            "remove the domain if the model holds everywhere",
+        )
+    undefined = _undefined(situation)
+    if undefined:
+        return undefined, "rely on the local claim"
+    found = situation.invariant
+    if found is None or not found.resting:
+        return "the invariant set was not reduced to equilibria", "rely on the local claim"
+    return None
+
+
+def _undefined(situation: Situation) -> str:
+    """Why f, g, S and gamma are not known to be smooth on the whole space; M^-1 is, where M is and M > 0."""
+    plant, system = situation.plant, situation.plant.system
+    parts = [system.f, system.g, system.S, situation.gamma]
+    mechanics = system.mechanical
+    if mechanics is not None and plant.gradient_is_exact and drift_by_construction(system):
+        missing = missing_for_definiteness(plant)
+        if missing:
+            return missing
+        parts = [mechanics.M, mechanics.V, mechanics.D, mechanics.G, situation.gamma]
+    try:
+        field, _ = plant.exact(*parts)
+    except (UnsupportedOperation, ZeroDivisionError) as reason:
+        return str(reason)
+    fine = all(
+        atom.kind in _ENTIRE_KINDS or (atom.kind in _POSITIVE_ARGUMENT and positive(atom.argument))
+        for atom in field.atoms.values()
+    )
+    fine = fine and all(positive(d) or positive(-d) for d in field.divisors.values())
+    return "" if fine else "f, g or S is not defined on the whole space"
+
+
+def _growth(situation: Situation) -> Growth:
+    alpha, _, _ = situation.gains
+    kappa = [-u for u in situation.point.u]
+    grown = radially_unbounded(situation.plant, situation.gamma, alpha, kappa, situation.compensation is not None)
+    if not grown.proved and storage_is_convex(situation):
+        return Growth(True, "the storage is convex, and x* is a strict minimum of it")
+    return grown
+
+
+def _to_grow(situation: Situation) -> str:
+    """What would make the storage radially unbounded, as far as that is known."""
+    alpha, _, _ = situation.gains
+    weak = [a for a, u in zip(alpha, situation.point.u, strict=True) if a <= abs(approximate(u))]
+    rely = "rely on the local claim; `pbcgen region` finds states from where the loop certainly settles"
+    return f"raise alpha above |kappa|, or {rely}" if weak and situation.compensation is None else rely
+
+
+def _second(situation: Situation, x: list[Real]) -> Claim:
+    names = situation.plant.system.state_names
+    shown = ", ".join(f"{name} = {text(v, 9)}" for name, v in zip(names, x, strict=True))
+    return _verdict(
+        Status.REFUTED,
+        "Krawczyk test in ball arithmetic",
+        f"the closed loop has another equilibrium: {shown}",
+        "the claim can only be local; start inside the region of attraction",
+        {"x": dict(zip(names, [text(v, 15) for v in x], strict=True))},
+    )

@@ -1,0 +1,85 @@
+"""Equilibria of the closed loop besides x*: a search from many starts, confirmed by Krawczyk's test."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from pbcgen.control.attractivity import Situation
+from pbcgen.models.laws import Integral
+from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
+from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, ball, precision, rational, sign
+from pbcgen.symbolic.tape import Tape
+
+#: Starts of the search for other equilibria.
+_STARTS = 30
+#: Other equilibria are not searched for in systems with more states.
+_LARGEST_SEARCH = 12
+
+
+def other_rest(situation: Situation) -> list[Real] | None:
+    """The state, in balls, of an equilibrium of the closed loop that is certainly not x*; or None."""
+    if isinstance(situation.law, Integral) or situation.plant.system.n > _LARGEST_SEARCH:
+        return None
+    plant, point = situation.plant, situation.point
+    system, n = plant.system, plant.system.n
+    at_star = ca.SX.sym("at_star", 2 * system.m)
+    residual = _rest_equations(situation, at_star[: system.m], at_star[system.m :])
+    jacobian = ca.jacobian(residual, ca.vertcat(system.x, system.u))
+    with precision(BITS):
+        (gamma_star,) = plant.at(point, situation.gamma)
+        constants = [*point.u, *[row[0] for row in gamma_star]]
+    rounded = ca.DM([approximate(v) for v in constants])
+    function = plant.numeric(*[ca.substitute(e, at_star, ca.SX(rounded)) for e in (residual, jacobian)])
+
+    def evaluate(point: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        value, slope = function(point[:n], point[n:])
+        return np.array(value).ravel(), np.array(ca.densify(slope))
+
+    star = np.array([approximate(v) for v in (*situation.point.x, *situation.point.u)])
+    spread = np.full(n + system.m, 10.0)
+    around = Search(star - spread, star + spread, starts=_with_gamma_kept(situation, star), samples=_STARTS)
+    tape = Tape.of([*plant.symbols, at_star], [residual, jacobian])
+    parameters: list[Real] = [rational(v) for v in plant.parameter_values]
+
+    def in_balls(values: list[Real]) -> tuple[list[Real], list[list[Real]]]:
+        value, slope = (v.dense(ZERO) for v in tape.walk(REAL, [values[:n], values[n:], parameters, constants]))
+        return [row[0] for row in value], slope
+
+    with precision(BITS):
+        for zero in sorted(find_zeros(evaluate, around), key=lambda z: float(np.linalg.norm(z - star))):
+            if np.max(np.abs(zero[:n] - star[:n])) < 1e-6 * (1 + np.max(np.abs(star[:n]))):
+                continue
+            centre = polish(in_balls, list(zero))
+            balls = None if centre is None else krawczyk(in_balls, centre)
+            if balls is not None and any(
+                sign(ball(b) - ball(s)) in (1, -1) for b, s in zip(balls[:n], situation.point.x, strict=True)
+            ):
+                return balls[:n]
+    return None
+
+
+def _with_gamma_kept(situation: Situation, star: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Starts along which gamma stays near gamma*: elsewhere the saturated law is flat, and Newton's method lost."""
+    plant, n = situation.plant, situation.plant.system.n
+    slope = plant.numeric(ca.jacobian(situation.gamma, plant.system.x))(star[:n], star[n:])
+    N = np.array(ca.densify(slope))
+    if not np.all(np.isfinite(N)):
+        return ()
+    keep = np.eye(n) - np.linalg.pinv(N) @ N
+    generator = np.random.default_rng(0)
+    moves = generator.uniform(-7.0, 7.0, (_STARTS, n)) @ keep
+    return tuple(star + np.concatenate([move, np.zeros(len(star) - n)]) for move in moves)
+
+
+def _rest_equations(situation: Situation, u_star: ca.SX, gamma_star: ca.SX) -> ca.SX:
+    """Equilibria of the closed loop in (x, u): ``f + g (u_c + u) = 0``, and (rest) in the form with tanh."""
+    plant, system = situation.plant, situation.plant.system
+    alpha, beta, _ = situation.gains
+    comp = situation.compensation
+    u = system.u if comp is None else comp + system.u
+    w = system.u if comp is not None else system.u - u_star
+    inside = situation.gamma - gamma_star + ca.mtimes(situation.compliance, w)
+    alpha_, beta_ = (ca.vertcat(*map(plant.number, gain)) for gain in (alpha, beta))
+    return ca.vertcat(system.f + ca.mtimes(system.g, u), w + alpha_ * ca.tanh(beta_ * inside))
