@@ -172,28 +172,44 @@ def uniqueness(
         alone = [chain.solved[k].number() if k in chain.solved else None for k in range(n)] == system.point[0]
         return {"then": then} if alone else None
     if {*chain.solved} >= {*range(n)}:
-        squares = decompose_matrix(_as_quotients(system.field, system.compliance(chain)))
+        squares = in_squares(system.field, system.compliance(chain), terms)
         if squares is not None:
-            return {"squares": terms.squares(squares)}
+            return {"squares": squares}
     power = find_power()
     if not power:
         return None
     system.__dict__["placed"] = read(system, terms)  # with the places of N
-    convex = system.convex_part(chain, power)
-    squares = decompose_matrix(_as_quotients(system.field, convex))
-    return None if squares is None else {"power": power, "squares": terms.squares(squares)}
+    squares = in_squares(system.field, system.convex_part(chain, power), terms)
+    return None if squares is None else {"power": power, "squares": squares}
 
 
-def _as_quotients(field: Field, matrix: Sequence[Sequence[Function]]) -> list[list[Quotient]]:
+def in_squares(field: Field, matrix: Sequence[Sequence[Function]], terms: Writing) -> list[list[Any]] | None:
+    """A matrix of the checker's functions as a sum of squares, written; None if that is not found."""
+    angles = _angles(field)
+    found = decompose_matrix(_as_quotients(field, matrix, angles))
+    return None if found is None else terms.squares(found, dict(enumerate(angles, len(field.symbols))))
+
+
+def _angles(field: Field) -> list[Function]:
+    """The arguments of sin and cos that are sums and are not expanded: symbols of their own in the provers' field."""
+    sums = [a for (kind, _, _), a in field.atoms.items() if kind in ("sin", "cos") and len(a.top) > 1]
+    return [*{(str(a.top), str(a.bottom)): a for a in sums}.values()] if field.whole else []
+
+
+def _as_quotients(
+    field: Field, matrix: Sequence[Sequence[Function]], angles: Sequence[Function]
+) -> list[list[Quotient]]:
     """Functions of the checker's field in the field of the provers."""
-    algebra = Algebra([f"z{k}" for k in range(len(field.symbols))], _ATOMS)
+    places = {(str(a.top), str(a.bottom)): len(field.symbols) + k for k, a in enumerate(angles)}
+    algebra = Algebra([f"z{k}" for k in range(len(field.symbols) + len(angles))], _ATOMS)
     atoms = list(field.atoms.items())
 
     def generator(k: int) -> Quotient:
         if k >= field.pool:
             return algebra.symbol(k - field.pool)
-        (kind, _, _), argument = atoms[field.pool - 1 - k]
-        result: Quotient = getattr(algebra, kind)(quotient(argument))
+        (kind, top, bottom), argument = atoms[field.pool - 1 - k]
+        angle = places.get((top, bottom)) if kind in ("sin", "cos") else None
+        result: Quotient = getattr(algebra, kind)(quotient(argument) if angle is None else algebra.symbol(angle))
         return result
 
     def polynomial(p: fmpq_mpoly) -> Quotient:
@@ -221,7 +237,11 @@ def read(system: Stability, terms: Writing) -> list[Function]:
 
 
 def growth(
-    system: Stability, terms: Writing, currents: Sequence[Function], weight: Sequence[Sequence[fmpq]]
+    system: Stability,
+    terms: Writing,
+    currents: Sequence[Function],
+    weight: Sequence[Sequence[fmpq]],
+    kinetic: Sequence[tuple[Function, Function]] = (),
 ) -> dict[str, Any] | None:
     """Coordinates in which the storage is radially unbounded, or None.
 
@@ -230,6 +250,7 @@ def growth(
         terms: takes the formulas.
         currents: functions w with ``S = w^T weight w / 2``, for circuits; none for others.
         weight: constant, symmetric.
+        kinetic: (s, t) with the kinetic energy ``sum s t^2``, where M is known to be such a sum; found if not given.
     """
     field, n = system.field, system.n
     gamma = system.column("gamma")
@@ -243,7 +264,7 @@ def growth(
             (field.lift(d / 2), t) for d, t in _diagonal([[field.lift(v) for v in row] for row in weight], currents)
         ]
     else:
-        squares = _kinetic(system, energy)
+        squares = [*kinetic] or _kinetic(system, energy)
         more, linear = _quadratic(field, _less(energy, squares), gamma, n)
         squares = squares + more
     rest = _less(energy, squares)
@@ -360,15 +381,23 @@ def _ordered(
             for i, (s, t, _) in enumerate(waiting)
             if s is None or not _unknown(field, s, known)
         ]
-        chosen = next(((i, new) for i, new in ready if len(new) == 1), None)
+        single = ((i, *new) for i, new in ready if len(new) == 1)
+        chosen = next(((i, k) for i, k in single if _is_coordinate(field, *waiting[i][:2], k)), None)
         if chosen is None:
             break
         weight, t, j = waiting.pop(chosen[0])
-        (k,) = chosen[1]
+        k = chosen[1]
         known.add(k)
         place = j if weight is None else terms.function(t)
         result.append([None if weight is None else terms.function(weight), place, k])
     return (result, [(s, t) for s, t, _ in waiting if s is not None]) if known == {*range(n)} else None
+
+
+def _is_coordinate(field: Field, s: Function | None, t: Function, k: int) -> bool:
+    """Whether s > 0, and t is affine in state k with a slope that vanishes nowhere."""
+    a = slopes(field, t)[k]
+    positive = s is None or field.everywhere(s.top) * field.everywhere(s.bottom) == 1
+    return positive and not slopes(field, a)[k].top and field.everywhere(a.top) != 0
 
 
 def _combination(

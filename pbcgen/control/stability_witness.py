@@ -10,9 +10,11 @@ import casadi as ca
 import numpy as np
 from flint import arb, arb_mat, ctx, fmpq
 
+from pbcgen.control import velocity_witness
 from pbcgen.control.attraction_witness import eliminate, growth, read, steps_to_rest, uniqueness
 from pbcgen.control.derive import Derivation
 from pbcgen.control.dissipation_witness import sampled_damping
+from pbcgen.control.velocity_witness import SQUARES, squares
 from pbcgen.control.writing import Writing
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.laws import NaturalDamping
@@ -24,7 +26,7 @@ from pbcgen.symbolic.linear import Inconsistent, Row, reduce_rows, solve
 from pbcgen.symbolic.plain.elimination import Elimination
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, krawczyk, stable
-from pbcgen.symbolic.plain.values import Grow, NotCheckable, partial, plain, variables
+from pbcgen.symbolic.plain.values import Function, Grow, NotCheckable, partial, plain, variables
 from pbcgen.symbolic.real import approximate, fraction, midpoint
 from pbcgen.verify.claims import BITS, BITS_PER_STATE
 from pbcgen.verify.stability import Stability
@@ -55,7 +57,7 @@ def stability_witnesses(derivation: Derivation, document: Mapping[str, Any], ter
             ctx.prec = BITS + BITS_PER_STATE * (n if n <= _LARGEST_ROUTH else 0)
             try:
                 work = _Work(derivation, Stability({**document, "terms": writing.lines()}, *settings), writing)
-                found = {name: work.witness(claim) for name, claim in wanted.items() if name in _MAKERS}
+                found = {name: work.witness(claim) for name, claim in wanted.items()}
             except Grow as larger:
                 settings = larger.args
                 continue
@@ -75,9 +77,20 @@ class _Work:
     def witness(self, claim: Claim) -> Witness:
         """The data for one claim, or None."""
         try:
-            return _MAKERS[claim.claim](self, claim)
+            if claim.claim in SQUARES and self.system.inertia:
+                return self._squares(claim)
+            make = _MAKERS.get(claim.claim)
+            return None if make is None else make(self, claim)
         except _GIVE_UP:
             return None
+
+    def _squares(self, claim: Claim) -> Witness:
+        """In (q, v); the claims that follow make use of it."""
+        found = squares(self.derivation, self.system, claim, self.terms)
+        if found is not None:
+            self.system.witness = {**self.system.witness, claim.claim: found}
+            self.system.__dict__["placed"] = read(self.system, self.terms)
+        return found
 
     def unassignable(self, claim: Claim) -> Witness:
         """`equilibrium` REFUTED: what the equations give one after the other."""
@@ -183,14 +196,31 @@ class _Work:
             places = [scratch.quotient(v) for v in w.column(zero)]
             values = read(self.system, scratch)
             currents = [values[place] for place in places]
-        grown = growth(self.system, self.terms, currents, weight)
-        if grown is None and currents:
+        grown = growth(self.system, self.terms, currents, weight, self._factors())
+        if grown is None:
             grown = growth(self.system, self.terms, [], [])
         found = steps_to_rest(self.system, self.terms)
         alone = None if found is None else uniqueness(self.system, found[0], self.terms, self._power)
         if grown is None or found is None or alone is None:
             return None
         return grown | found[1] | alone
+
+    def _factors(self) -> list[tuple[Function, Function]]:
+        """The kinetic energy as squares where M came as ``sum J^T W J`` with W diagonal, for systems read in (q, v)."""
+        mechanics = self.derivation.plant.system.mechanical
+        if mechanics is None or not self.system.inertia:
+            return []
+        found: list[tuple[ca.SX, ca.SX]] = []
+        for J, W in mechanics.factors:
+            if not W.sparsity().is_diag():
+                return []
+            found += zip(ca.vertsplit(ca.diag(W) / 2), ca.vertsplit(ca.mtimes(J, mechanics.p)), strict=True)
+        scratch, both = Writing(), ca.vertcat(*[part for pair in found for part in pair])
+        numbers = {2: [*self.derivation.plant.parameter_values]}
+        (places,) = scratch.tape(self.derivation.plant.tape(ca.densify(both)), ["state", "input", "parameter"], numbers)
+        values = read(self.system, scratch)
+        parts = [values[places.entries[k, 0]] for k in range(both.numel())]
+        return [*zip(parts[::2], parts[1::2], strict=True)]
 
     def _power(self) -> list[list[int | None]]:
         """The places of N with ``grad S = N f``: A, or the inverse of F."""
@@ -240,7 +270,11 @@ class _Work:
             result["P"] = storage
         if claim.domain == "sampled loop, all x" or (storage is None and not stable(self.system.sampled, True)):
             damped = "natural-damping" in self.system.law
-            result |= sampled_damping(self.derivation, damped, self.terms) or {}
+            if self.system.inertia:
+                found = velocity_witness.sampled_damping(self.derivation, self.system, damped, self.terms)
+            else:
+                found = sampled_damping(self.derivation, damped, self.terms)
+            result |= found or {}
         return result
 
 

@@ -22,6 +22,7 @@ class Writing:
         self._instructions: list[str] = []
         self._place: dict[str, int] = {}
         self._outputs: list[str] = []
+        self._symbols: dict[int, int] = {}
 
     def lines(self) -> list[str]:
         """Indented instructions, then the outputs with their shapes and entries."""
@@ -95,12 +96,13 @@ class Writing:
 
     def _generator(self, field: Field, k: int) -> int:
         if k < field.symbol_count:
-            return self.put(f"state {k}")
+            return self._symbols[k] if k in self._symbols else self.put(f"state {k}")
         atom = field.atoms[k]
         return self.put(f"{atom.kind} {self.quotient(atom.argument)}")
 
-    def squares(self, squares: Sequence[Square]) -> list[list[Any]]:
-        """Squares by weight, factors and the places of the vector."""
+    def squares(self, squares: Sequence[Square], symbols: Mapping[int, Function] | None = None) -> list[list[Any]]:
+        """Squares by weight, factors and the places of the vector; ``symbols`` stand for functions."""
+        self._symbols = {k: self.function(a) for k, a in (symbols or {}).items()}
         return [
             [
                 str(square.weight),

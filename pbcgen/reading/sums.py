@@ -11,7 +11,7 @@ from flint import fmpq
 from pbcgen.reading.system import System, require
 from pbcgen.symbolic.plain.boxes import Box, shown
 from pbcgen.symbolic.plain.elimination import Elimination, put_in
-from pbcgen.symbolic.plain.formulas import Formulas, rational
+from pbcgen.symbolic.plain.formulas import Formulas, Malformed, rational
 from pbcgen.symbolic.plain.matrices import Matrix, dot, plus
 from pbcgen.symbolic.plain.values import (
     AT_ZERO,
@@ -33,8 +33,11 @@ class Sums(System):
 
     def __init__(self, document: Mapping[str, Any], *settings: Any) -> None:
         super().__init__(document, *settings)
+        self.passed: set[str] = set()
         self.readings = Formulas.parse(document["readings"])
         self.witness: Mapping[str, Mapping[str, Any]] = {c["claim"]: c["witness"] or {} for c in document["claims"]}
+        if len(self.witness) != len(document["claims"]):
+            raise Malformed("a claim is made twice")
         self.domain, self.status = ({c["claim"]: c[key] for c in document["claims"]} for key in ("domain", "status"))
 
     def given(self, claim: str, name: str) -> list[fmpq]:
@@ -48,7 +51,7 @@ class Sums(System):
     @property
     def rows(self) -> list[Any]:
         """For each square of passive-output a function that vanishes where the square does, in (x, u)."""
-        one_u, found = [self.field.lift(1), *self.field.symbols[self.n :]], []
+        one_u, found = [self.field.lift(1), *self.constants], []
         for _, factors, places in self.witness["passive-output"]["squares"]:
             row = dot(self.vector(places), one_u)
             for kind, a, b, alone in factors:
@@ -147,10 +150,12 @@ class Sums(System):
         frequencies: dict[int, Any] = {}
         atoms = [*field.atoms.items()]
         for (kind, _, _), a in (atoms[field.pool - 1 - k] for k in range(field.pool) if degrees[k]):
-            used = [k for k, e in enumerate(a.top.degrees()) if e]
-            frequency = abs(a.top.leading_coefficient() / a.bottom.leading_coefficient())
-            linear = len(a.top) == 1 == a.top.total_degree() and used[0] >= field.pool and a.bottom.is_constant()
-            if kind not in ("sin", "cos") or not linear or frequencies.setdefault(used[0], frequency) != frequency:
+            periodic = kind in ("sin", "cos") and a.top.total_degree() == 1 and a.bottom.is_constant()
+            for exponents, c in a.top.to_dict().items() if periodic else ():
+                k, frequency = [*map(int, exponents), 1].index(1), abs(c / a.bottom.leading_coefficient())
+                inside = field.pool <= k < len(exponents)
+                periodic = periodic and inside and frequencies.setdefault(k, frequency) == frequency
+            if not periodic:
                 raise NotCheckable("a function is not periodic in its states")
         if any(degrees[field.pool :]) or not function.bottom.is_constant():
             raise NotCheckable("a function is not periodic in its states")

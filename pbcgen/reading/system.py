@@ -9,6 +9,7 @@ from typing import Any
 from flint import arb, fmpq, fmpq_mat
 
 from pbcgen.reading.model import Model
+from pbcgen.reading.velocity import solves
 from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import (
     Matrix,
@@ -46,16 +47,65 @@ class System:
         self.states, self.inputs, self.law = (self.model.words[name] for name in ("states", "inputs", "law"))
         self.n, self.m, self.half = len(self.states), len(self.inputs), len(self.states) // 2
         self.compensated = "potential-compensation" in self.law
-        self.field = Field(self.n + self.m, *settings)  # the inputs are symbols too
+        self.inertia = document.get("inertia", [])  # of a system that is read in positions and velocities
+        # The inputs are symbols too, and so are the accelerations.
+        self.field = Field(self.n + self.m + len(self.inertia), *settings)
+        self.field.whole = bool(document.get("whole_angles", False))
 
-    def walk(self, state: Sequence[Any], lift: Callable[[fmpq], Any] = fmpq) -> dict[str, Matrix]:
+    def walk(
+        self, state: Sequence[Any], lift: Callable[[fmpq], Any] = fmpq, known: Mapping[int, Any] | None = None
+    ) -> dict[str, Matrix]:
         """All named matrices of the model and of the formulas at a state of any kind of value."""
         found: dict[str, Matrix] = {}
         inputs = {"state": state, "parameter": [lift(p) for p in self.model.parameters]}
         for formulas in (self.formulas, self.model.formulas):  # what the model states comes last, and stands
-            values = formulas.walk(lift, inputs)
+            own = known if formulas is self.model.formulas else None
+            wanted = [place for _, _, entries in formulas.outputs.values() for place in entries.values()]
+            values = formulas.walk(lift, inputs, own, wanted)
             found |= {name: formulas.matrix(name, values) for name in formulas.outputs}
         return found
+
+    # --- in positions and velocities -------------------------------------------------------------------------------
+
+    @cached_property
+    def velocities(self) -> list[int]:
+        """The instructions that are M^-1 p, for systems that are read in (q, v); then ``is_solved``."""
+        entries = self.model.formulas.outputs["f"][2]
+        return [entries[k, 0] for k in range(len(self.inertia))]
+
+    @cached_property
+    def solved(self) -> bool:
+        """Whether these instructions are defined wherever M > 0."""
+        found = solves(self.model.formulas, self.inertia, self.velocities)
+        M = self.mass(self.field.symbols, self.field.lift)
+        pairs = [(a, b) for row, column in zip(M, transpose(M), strict=True) for a, b in zip(row, column, strict=True)]
+        self.zero([self.field.lift(a) - b for a, b in pairs], "M is not symmetric")
+        require(found is not None and 2 * len(self.inertia) == self.n, "the velocities are not M^-1 p")
+        require(not {*self.states[self.half :]} & {*self.model.domain}, "the momenta are restricted")
+        return bool(found)
+
+    def in_states(self) -> None:
+        """Raise NotCheckable for what is not said of systems in (q, v)."""
+        if self.inertia:
+            raise NotCheckable("this is not known in positions and velocities")
+
+    def state_at(self, z: Sequence[Any], lift: Callable[[fmpq], Any]) -> list[Any]:
+        """The state with these coordinates: (q, M v) for (q, v), else z itself."""
+        rows = self.mass(z, lift)
+        return [*z[: self.half], *(dot(row, z[self.half :]) for row in rows)] if rows else list(z)
+
+    def mass(self, z: Sequence[Any], lift: Callable[[fmpq], Any]) -> Matrix:
+        """M at these positions."""
+        inputs = {"state": z[: self.half], "parameter": [lift(p) for p in self.model.parameters]}
+        places = [place for row in self.inertia for place in row if place is not None]
+        values = self.model.formulas.walk(lift, inputs, None, places) if places else []
+        return [[fmpq(0) if place is None else values[place] for place in row] for row in self.inertia]
+
+    def moving(self, z: Sequence[Any], lift: Callable[[fmpq], Any]) -> dict[str, Matrix]:
+        """All named matrices in these coordinates."""
+        shown = self.inertia and self.solved is not None
+        known = dict(zip(self.velocities, z[self.half :], strict=True)) if shown else {}
+        return self.walk(self.state_at(z, lift), lift, known)
 
     # --- as exact functions of the state ---------------------------------------------------------------------------
 
@@ -66,7 +116,7 @@ class System:
     @cached_property
     def exact(self) -> dict[str, Matrix]:
         """Model and formulas with first derivatives. After it, no function of a bounded domain can join the field."""
-        found = self.walk(variables(self.field.symbols[: self.n]), self.still)
+        found = self.moving(variables(self.field.symbols[: self.n]), self.still)
         self.field.closed = True
         return found
 
@@ -85,7 +135,26 @@ class System:
 
     def slope(self, name: str) -> Matrix:
         """The exact Jacobian of a column, rows over the state."""
-        return [[self.field.lift(partial(v, k)) for k in range(self.n)] for (v,) in self.exact[name]]
+        rows = [[self.field.lift(partial(v, k)) for k in range(self.n)] for (v,) in self.exact[name]]
+        return [self._by_momenta(row) for row in rows] if self.inertia else rows
+
+    def _by_momenta(self, row: list[Function]) -> list[Function]:
+        """The slope h_x from that by (q, v), with p = M v: ``M h_p = h_v`` and ``h_q + (M v)_q^T h_p`` is given.
+
+        Known for functions of the positions, and for those with the slope of the kinetic energy, where h_p = v.
+        """
+        by_q, by_v, v = row[: self.half], row[self.half :], self.field.symbols[self.half : self.n]
+        if not any(a.top for a in by_v):
+            return row
+        if any((a - plain(p)).top for a, p in zip(by_v, self.momenta, strict=True)):
+            raise NotCheckable("a function of the momenta is not the kinetic energy")
+        return [a - dot([partial(p, k) for p in self.momenta], v) for k, a in enumerate(by_q)] + v
+
+    @cached_property
+    def momenta(self) -> list[Dual]:
+        """p = M(q) v as exact functions with slopes in (q, v)."""
+        p: list[Dual] = self.state_at(variables(self.field.symbols[: self.n]), self.still)[self.half :]
+        return p if self.inertia else []
 
     def rate(self, name: str) -> Matrix:
         """The derivative in time of each entry of a column, as coefficients of (1, u)."""
@@ -103,7 +172,7 @@ class System:
 
     def potential(self, q: Sequence[Any], lift: Callable[[fmpq], Any]) -> Any:
         """The potential energy S(q, 0)."""
-        return self.walk([*q, *[lift(fmpq(0))] * self.half], lift)["S"][0][0]
+        return self.moving([*q, *[lift(fmpq(0))] * self.half], lift)["S"][0][0]
 
     @cached_property
     def force(self) -> list[Function]:
@@ -114,7 +183,7 @@ class System:
     def zero(self, functions: Sequence[Any], otherwise: str) -> None:
         """Every function is the zero function, and no divisor so far is."""
         require(all(self.field.lift(v).top.is_zero() for v in functions), otherwise)
-        size = [fmpq(11 * k + 3, 7 * k + 10) for k in range(self.n + self.m)]
+        size = [fmpq(11 * k + 3, 7 * k + 10) for k in range(len(self.field.symbols))]
         points = [[v * (1, a, b, a * b)[k % 4] for k, v in enumerate(size)] for a in (1, -1) for b in (1, -1)]
         points += [[-v for v in point] for point in points]
         for divisor in self.field.divisors.values():
@@ -124,6 +193,10 @@ class System:
         self.field.divisors.clear()
 
     # --- at x* -----------------------------------------------------------------------------------------------------
+
+    def changes(self, name: str) -> Any:
+        """The functions of a column, each with its value at x*."""
+        return zip(self.functions(name), [v for (v,) in self.numbers(name)], strict=True)
 
     @cached_property
     def point(self) -> tuple[list[Any], list[Any]]:
@@ -151,9 +224,9 @@ class System:
         require(self.inside(z, {1}), "x* is not in the interior of the domain")
         return [z[name] for name in self.states], [z[name] for name in self.inputs]
 
-    def _residuals(self, z: Mapping[str, Any], lift: Callable[[fmpq], Any] = fmpq) -> list[Any]:
+    def _residuals(self, z: Mapping[str, Any], lift: Callable[[fmpq], Any] = fmpq, moving: bool = False) -> list[Any]:
         """``f + g u``, and the differences of the target's expressions from their values."""
-        found = self.walk([z[name] for name in self.states], lift)
+        found = (self.moving if moving else self.walk)([z[name] for name in self.states], lift)
         rates = plus(found["f"], product(found["g"], [[z[name]] for name in self.inputs]))
         target = [found[f"target {name}"][0][0] - value for name, value in self.model.target.items()]
         return [row[0] for row in rates] + target
@@ -161,8 +234,10 @@ class System:
     def equations(self, known: Mapping[str, fmpq]) -> list[Function]:
         """The same as exact functions of (x, u), some of which are known; zero at an equilibrium that is asked for."""
         names = [*self.states, *self.inputs]
-        z = {name: self.field.lift(known.get(name, v)) for name, v in zip(names, self.field.symbols, strict=True)}
-        return [self.field.lift(v) for v in self._residuals(z, self.field.lift)] if self.exact else []
+        z = {name: self.field.lift(known.get(name, v)) for name, v in zip(names, self.field.symbols, strict=False)}
+        moving = [z[name].number() for name in self.states[self.n - len(self.inertia) :]]
+        require(all(p in (None, 0) for p in moving), "momenta are known that are no velocities")
+        return [self.field.lift(v) for v in self._residuals(z, self.field.lift, True)] if self.exact else []
 
     def _follows(self, k: int, weights: Mapping[str, str], rows: Sequence[int], known: Mapping[str, fmpq]) -> None:
         """Equation k is a combination of others that hold."""
@@ -214,7 +289,8 @@ class System:
         H = self.hessian(S)
         if self.compensated:
             # p^T dS/dp = 2 (S - V): the kinetic energy is a quadratic form in p, and flat in q at p = 0.
-            (q, p), e = (self.field.symbols[:half], self.field.symbols[half : self.n]), self.slope("S")[0]
+            q, e = self.field.symbols[:half], self.slope("S")[0]
+            p = [plain(v) for v in self.state_at(self.field.symbols[: self.n], self.field.lift)[half:]]
             V = plain(self.potential([self.still(s) for s in q], self.still))
             self.zero([dot(p, e[half:]) - (self.column("S")[0] - V) * 2], "S is not kinetic plus potential")
             self.zero([a - b for a, b in zip(self.column("gamma"), q, strict=True)], "gamma is not q")
@@ -235,6 +311,19 @@ class System:
         """hess S_dc at (x*, 0) (hessSdc)."""
         side = product(self.stiffness, self.gamma)
         return blocks([[self.hessian_d, transpose(side)], [side, plus(self.stiffness, self.model.gains["K_c"])]])
+
+    @property
+    def signals(self) -> dict[str, list[Any]]:
+        """What the law reads, as functions of the state."""
+        signals = {"gamma": self.column("gamma")}
+        if "natural-damping" in self.law:
+            signals["eta"] = self.column("eta")
+        if self.compensated:
+            signals["potential"] = self.force
+        if "passive-output" in self.law:
+            signals["drift"] = [row[0] for row in self.rate("gamma")]
+            signals["feedthrough"] = [v for row in self.rate("gamma") for v in row[1:]]
+        return signals
 
     # --- the closed loop -------------------------------------------------------------------------------------------
 
@@ -303,10 +392,39 @@ class System:
     # --- where the filters rest ------------------------------------------------------------------------------------
 
     @property
+    def constants(self) -> list[Function]:
+        """The inputs as symbols."""
+        return self.field.symbols[self.n : self.n + self.m]
+
+    @property
+    def settled(self) -> list[Any]:
+        """x* in the coordinates of the exact functions, where nothing moves."""
+        return [*self.point[0][: self.half], *[fmpq(0)] * self.half] if self.inertia else self.point[0]
+
+    @property
     def push(self) -> list[Any]:
         """The input where the filters rest: a constant, beside the force that is compensated."""
-        constant = self.field.symbols[self.n :]
+        constant = self.constants
         return [a + b for a, b in zip(constant, self.force, strict=True)] if self.compensated else constant
+
+    @property
+    def rates(self) -> list[Any]:
+        """``x' = f + g u`` there, and the constants do not change; in (q, v) the accelerations are symbols."""
+        if self.inertia:
+            moving = [*self.field.symbols[self.half : self.n], *self.field.symbols[self.n + self.m :]]
+            return moving + [self.field.lift(0)] * self.m
+        return [self.field.lift(v) for (v,) in self.moved] + [self.field.lift(0)] * self.m
+
+    @property
+    def moved(self) -> Matrix:
+        """``f + g u`` there."""
+        return plus(self.functions("f"), product(self.functions("g"), [[u] for u in self.push]))
+
+    @property
+    def balance(self) -> list[Any]:
+        """``(M v)' - p'``, zero along the motions of a system that is read in (q, v); none for others."""
+        gone = [dot([partial(p, k) for k in range(self.n)], self.rates[: self.n]) for p in self.momenta]
+        return [self.field.lift(a - b) for a, (b,) in zip(gone, self.moved[self.half :], strict=False)]
 
     @property
     def resting_input(self) -> list[Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from flint import fmpq
@@ -31,6 +31,12 @@ class Assumptions(Sums):
         text = self.domain[claim]
         constant = claim == "input-rank" and self.model.is_constant("g")
         return text in _ELSEWHERE or (text == "all x" and (claim in _EVERYWHERE or constant)) or self.on_box(claim)
+
+    def once(self, check: Callable[[], None]) -> None:
+        """Check what other claims have perhaps shown."""
+        if check.__name__ not in self.passed:
+            check()
+            self.passed.add(check.__name__)
 
     def proved_equilibrium(self) -> None:
         """x* and u* exist, meet the target, and lie in the domain."""
@@ -101,11 +107,9 @@ class Assumptions(Sums):
         ``psi^T J d = d^T grad (g_i^T grad S)`` with J = df/dx. That is wrong where J d = 0; or J d is a unit vector for
         two directions, and these entries of psi are no gradient along the set.
         """
-        witness, chain, x = (
-            self.witness["passive-output"],
-            self.on_set("passive-output"),
-            self.given("passive-output", "x"),
-        )
+        self.in_states()
+        witness, chain = self.witness["passive-output"], self.on_set("passive-output")
+        x = self.given("passive-output", "x")
         require(all(v.number() == x[k] for k, v in chain.solved.items()), "the state is not in the set")
         require(self.inside(dict(zip(self.states, x, strict=True)), {1}), "the state is not in the domain")
         natural = dot(transpose(self.functions("g"))[witness["input"]], self.slope("S")[0])
@@ -190,7 +194,7 @@ class Assumptions(Sums):
     def refuted_assumption_3(self) -> None:
         """On a set of states and inputs nothing is lost, and an output is not zero."""
         chain, z = self.on_set("assumption-3"), self.given("assumption-3", "z")
-        self.zero([chain.reduced(self.power_at(self.field.symbols[self.n :]))], "something is lost on the set")
+        self.zero([chain.reduced(self.power_at(self.constants))], "something is lost on the set")
         place = [put_in(self.field, chain.reduced(v), z) for v in self.field.symbols]
         require(self.inside(dict(zip(self.states, place, strict=False))), "the set leaves the domain")
         one_u = [1, *place[self.n :]]
@@ -221,19 +225,6 @@ class Assumptions(Sums):
         v = self.given("theta", "v")
         require(sign(dot(v, [dot(row, v) for row in self.theta])) == -1, "the direction does not show it")
 
-    @property
-    def signals(self) -> dict[str, list[Any]]:
-        """What the law reads, as functions of the state."""
-        signals = {"gamma": self.column("gamma")}
-        if "natural-damping" in self.law:
-            signals["eta"] = self.column("eta")
-        if self.compensated:
-            signals["potential"] = self.force
-        if "passive-output" in self.law:
-            signals["drift"] = [row[0] for row in self.rate("gamma")]
-            signals["feedthrough"] = [v for row in self.rate("gamma") for v in row[1:]]
-        return signals
-
     def proved_measurability(self) -> None:
         """What the law reads is a function of what is measured, up to a constant."""
         values = self.readings.walk(self.field.lift, {"measured": self.column("measurement")})
@@ -244,6 +235,7 @@ class Assumptions(Sums):
 
     def refuted_measurability(self) -> None:
         """A direction that no sensor sees, but the law does."""
+        self.in_states()
         v, z = self.given("measurability", "v"), [*self.point[0], *self.point[1]]
         seen = self.jacobian(self.star["measurement"])
         require(all(sign(dot(row, v)) == 0 for row in seen), "the sensors see this direction")

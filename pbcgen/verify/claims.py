@@ -58,7 +58,7 @@ def find(system: Stability, claim: str, status: str) -> Finding:
             require((claim, status) in _UNCOVERED, "there is no such claim")
             raise NotCheckable("there is no check for this claim")
         require(system.reaches(claim), "the claim is not made for this domain")
-        check()
+        system.once(check)
     except NotCheckable as reason:
         return Finding(claim, status, "recorded", str(reason))
     except Fails as reason:

@@ -37,13 +37,13 @@ class Stability(Assumptions):
         """The Lyapunov function of Prop. pro1, pro2 or pro4."""
         require("integral" not in self.law, "the law has no Lyapunov function")
         for check in (self.proved_assumption_1, self.proved_passive_output, self.proved_gradient_condition):
-            check()
+            self.once(check)
         self.proved_hessian_condition()
         if "passive-output" not in self.law:
             self.proved_gain_definiteness()
             self.proved_kc_bound()
         if "natural-damping" in self.law:
-            self.proved_theta()
+            self.once(self.proved_theta)
 
     def storage(self, claim: str) -> Matrix | None:
         """The matrix P of a witness, given by its lower triangle."""
@@ -79,7 +79,7 @@ class Stability(Assumptions):
         return require(sign(arb_mat(self.continuous).det()) in (1, -1), "x* may not be isolated")
 
     def _smooth(self) -> None:
-        point = [*self.point[0], *self.resting_input]
+        point = [*self.settled, *self.resting_input, *[fmpq(0)] * len(self.inertia)]
         divisors = [self.field.at(divisor, point) for divisor in self.field.all_divisors.values()]
         require({sign(v) for v in divisors} <= {1, -1}, "a divisor may be zero at x*")
 
@@ -96,6 +96,7 @@ class Stability(Assumptions):
         self.lyapunov()
         chain = self.on_set("asymptotically-stable")
         set_ = chain.solved
+        self.in_states()
         require(len(set_) < self.n and max(set_, default=0) < self.n, "the set has no other states than x*")
         constants = [row[0] - v for name in ("gamma", "eta") if name in self.exact for row, v in self.changes(name)]
         chain.solved = {self.n + j: self.field.lift(u) for j, u in enumerate(self.resting_input)} | set_
@@ -105,17 +106,7 @@ class Stability(Assumptions):
         self.zero([chain.reduced(v) for v in [*constants, self.power_at(self.push)]], "the set is not as it must be")
         self._smooth()
 
-    def changes(self, name: str) -> Any:
-        """The functions of a column, each with its value at x*."""
-        return zip(self.functions(name), [v for (v,) in self.numbers(name)], strict=True)
-
     # --- LaSalle's invariant set -----------------------------------------------------------------------------------
-
-    @property
-    def rates(self) -> list[Any]:
-        """``x' = f + g u`` there, and the constants do not change."""
-        moved = plus(self.functions("f"), product(self.functions("g"), [[u] for u in self.push]))
-        return [self.field.lift(v) for (v,) in moved] + [self.field.lift(0)] * self.m
 
     def rest(self) -> Elimination:
         """What holds where the Lyapunov function rests: no dissipation, gamma constant, eta too for natural damping."""
@@ -124,7 +115,7 @@ class Stability(Assumptions):
         one_u, values = [self.field.lift(1), *self.push], [*self.field.symbols[: self.n], *self.push]
         equations = [self.field.lift(put_in(self.field, row, values)) for row in self.rows]
         equations += [dot(row, one_u) for name in signals for row in self.rate(name)]
-        return Elimination(self.field, self.rates, equations)
+        return Elimination(self.field, self.rates, equations + self.balance)
 
     def chain(self, claim: str) -> Elimination:
         """What follows from that by the steps of the certificate: that nothing moves.
@@ -162,8 +153,8 @@ class Stability(Assumptions):
             require(still == self.resting_input, "the input is not determined")
             chain.equations += [row[0] - v for row, v in self.changes("gamma")]
             self.follow(chain, self.witness[claim]["then"])
-            require([chain.solved[k].number() for k in range(n)] == self.point[0], "x* may not be the only rest")
-        require(self.field.entire(), "the model may not be smooth everywhere")
+            require([chain.solved[k].number() for k in range(n)] == self.settled, "x* may not be the only rest")
+        require(self.field.entire() and (not self.inertia or self.solved), "the model may not be smooth everywhere")
 
     def convex_part(self, chain: Elimination, places: Sequence[Sequence[int | None]]) -> Matrix:
         """The Hessian of S in the states that are not at their values of x* at every rest.
@@ -174,7 +165,7 @@ class Stability(Assumptions):
         N, S = [self.vector(row) for row in places], self.column("S")[0]
         balance = plus(transpose(self.slope("S")), product(N, self.functions("f")), -1)
         follows = plus(transpose(self.slope("gamma")), product(N, self.functions("g")))
-        require(not self.compensated, "the storage is not the Lyapunov function's")
+        require(not self.compensated and not self.inertia, "the storage is not the Lyapunov function's")
         self.zero([v for row in (*balance, *follows) for v in row], "grad S does not vanish at rest")
         require(all(v.number() is not None for row in self.slope("gamma") for v in row), "gamma is not affine")
         fixed = {k: v for k, v in chain.solved.items() if k < self.n and v.number() == self.point[0][k]}
@@ -184,7 +175,7 @@ class Stability(Assumptions):
 
     def compliance(self, chain: Elimination) -> Matrix:
         """``d gamma / d ubar + K_c^-1``, its symmetric part: (rest) has one solution where this is nonnegative."""
-        along = [slopes(self.field, chain.reduced(v))[self.n :] for v in self.column("gamma")]
+        along = [slopes(self.field, chain.reduced(v))[self.n : self.n + self.m] for v in self.column("gamma")]
         soft = [[(a + b) / 2 for a, b in zip(*rows, strict=True)] for rows in zip(along, transpose(along), strict=True)]
         K_c = self.model.gains.get("K_c")
         return soft if K_c is None else plus(soft, fmpq_mat(K_c).inv().tolist())
@@ -237,7 +228,7 @@ class Stability(Assumptions):
             require(linear is not False, "the linearised sampled loop is not Schur")
             if "Lambda" not in self.witness["sampled-stable"]:
                 raise NotCheckable("the certificate does not hold the damping that sampling consumes")
-            (self.proved_globally_asymptotically_stable if whole else self.proved_asymptotically_stable)()
+            self.once(self.proved_globally_asymptotically_stable if whole else self.proved_asymptotically_stable)
             self._decreases()
 
     def refuted_sampled_stable(self) -> None:

@@ -176,15 +176,75 @@ def chain(masses=12):
     )
 
 
-def two_links():
-    """A planar arm with two joints, gravity compensated."""
+def two_links(side=0):
+    """A planar arm with two joints, gravity compensated; ``side`` puts the centre of the first link beside it."""
     q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
     c = ca.cos(q[1])
     M = ca.blockcat([[3 + 2 * c, 1 + c], [1 + c, ca.SX(1)]])
-    V = 10 * ca.sin(q[0]) + 5 * ca.sin(q[0] + q[1])
+    V = 10 * ca.sin(q[0]) + side * ca.cos(q[0]) + 5 * ca.sin(q[0] + q[1])
     law = PotentialCompensation([20, 10], [3, 3], [50, 50], [1, 1])
     system = Mechanical(q, p, M=M, V=V, G=ca.SX.eye(2), D=[1, 1])
     return _design(system, {"q_0": "0.5", "q_1": "0.25"}, law)
+
+
+def planar_arm(links, law=None, factors=True, **changes):
+    """A planar arm whose M^-1 is too large to be written out from three links on; ``changes`` break its formulas.
+
+    velocity: a factor of M^-1 p. coupling: of the Coriolis forces. energy: of the kinetic energy. friction: of joint 1.
+    """
+    q, p = ca.SX.sym("q", links), ca.SX.sym("p", links)
+    angle, at, M, V = 0, ca.SX.zeros(2), 0.1 * ca.SX.eye(links), 0
+    for k in range(links):
+        angle = angle + q[k]
+        at = at + ca.vertcat(ca.cos(angle), ca.sin(angle)) / 2
+        J = ca.jacobian(at, q)
+        M, V = M + ca.mtimes(J.T, J), V + 2 * at[1]
+    pairs = [(ca.SX.eye(links), 0.1)] if factors else []
+    if factors:
+        angle, at = 0, ca.SX.zeros(2)
+        for k in range(links):
+            angle = angle + q[k]
+            at = at + ca.vertcat(ca.cos(angle), ca.sin(angle)) / 2
+            pairs.append((ca.jacobian(at, q), 1))
+    D = [1 + 0.25 * ca.tanh(p[0]) ** 2, *[1] * (links - 1)]
+    arm = Mechanical(q, p, M=pairs if factors else M, V=V, G=ca.SX.eye(links), D=D)
+    law = law or DynamicExtension([20] * links, [3] * links, [50] * links, [1] * links)
+    return _design(_broken(arm, **changes) if changes else arm, {f"q_{k}": "0.25" for k in range(links)}, law)
+
+
+def _broken(arm, velocity=1, coupling=1, energy=1, friction=1):
+    """The system with other formulas, and with the parts of the right one beside them."""
+    parts, system = arm.parts, arm.system
+    n = parts.q.numel()
+    f_q, f_p = system.f[:n], system.f[n:]
+    rest = ca.substitute(f_p, parts.p, ca.SX.zeros(n))
+    drag = ca.mtimes(parts.D, parts.velocity)
+    f_p = rest - friction * drag + coupling * (f_p - rest + drag)
+    S = energy * (system.S - parts.V) + parts.V
+    return AffineSystem(
+        system.x,
+        system.u,
+        ca.vertcat(velocity * f_q, f_p),
+        system.g,
+        S,
+        parameters=system.parameters,
+        measured=[s.name() for s in ca.vertsplit(parts.q)],
+        gamma=parts.q,
+        structure=system.structure,
+    )
+
+
+def three_links():
+    return planar_arm(3, factors=False)
+
+
+def three_links_compensated():
+    """Radially unbounded by the squares of its kinetic energy."""
+    return planar_arm(3, PotentialCompensation([20] * 3, [3] * 3, [50] * 3, [1] * 3))
+
+
+def five_links():
+    return planar_arm(5)
 
 
 DESIGNS = {
@@ -214,5 +274,8 @@ DESIGNS = {
         wrong_output,
         chain,
         two_links,
+        three_links,
+        three_links_compensated,
+        five_links,
     )
 }

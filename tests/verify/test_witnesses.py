@@ -9,7 +9,7 @@ from dataclasses import replace
 import casadi as ca
 import pytest
 from certificates import IDLE, certificate_of, outcomes, signed, spoiled
-from designs import DESIGNS
+from designs import DESIGNS, two_links
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Limits, Mechanical, NaturalDamping
 from pbcgen.control import stability_witness
@@ -491,17 +491,16 @@ def test_an_output_that_nothing_damps_is_refuted_again():
 
 
 def _arm_within(first, second):
-    arm = DESIGNS["two_links"]()
-    return arm.with_(limits=Limits([(-first, first), (-second, second)]))
+    return two_links(side=4).with_(limits=Limits([(-first, first), (-second, second)]))
 
 
 def test_a_compensated_force_is_bounded_over_a_period():
-    """``10 cos q1 + 5 cos(q1 + q2)`` is at most 15, its terms at most 20; the law adds 20 and 10."""
+    """``10 cos q1 - 4 sin q1 + 5 cos(q1 + q2)`` is below 16, its terms at most 19; the law adds 20."""
     claim, document = "saturation", _written_for(_arm_within(36, 16))
     assert status(document, claim) == "PROVED"
     assert outcomes(document)[claim] == "checked"
     trees = witness(document, claim)["trees"]
-    assert {*trees} == {"0", "1", "2", "3"}
+    assert {*trees} == {"0", "1"}
     for k, tree in trees.items():
         for other in (tree[:-1], tree + ".", ".", "", "c" + tree[1:], tree.replace("a", "b", 1)):
             assert outcomes(with_witness(document, claim, trees=trees | {k: other}))[claim] == "fails", (k, other)
@@ -510,7 +509,7 @@ def test_a_compensated_force_is_bounded_over_a_period():
         assert limit in document["model"]
         tighter = limit.replace("36", "35").replace("16", "15").replace("35 35", "34 34").replace("15 15", "14 14")
         changed = document | {"model": [line.replace(limit, tighter) for line in document["model"]]}
-        assert outcomes(signed(changed))[claim] == "fails"
+        assert outcomes(signed(changed))[claim] != "checked"
 
 
 def test_a_drift_that_the_law_needs_and_no_sensor_sees_is_shown():

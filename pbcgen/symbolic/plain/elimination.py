@@ -57,8 +57,10 @@ class Elimination:
         return self.field.lift(put_in(self.field, a, values))
 
     def derive(self, source: int) -> None:
-        """Add the derivative of an equation along the trajectories."""
-        self.equations.append(self.field.lift(dot(slopes(self.field, self.equations[source]), self.rates)))
+        """Add the derivative of an equation along the trajectories; ``0 = 0`` if it holds variables without a rate."""
+        by, known = slopes(self.field, self.equations[source]), len(self.rates)
+        rate = self.field.lift(0) if any(v.top for v in by[known:]) else dot(by[:known], self.rates)
+        self.equations.append(self.field.lift(rate))
 
     def solve(self, source: int, k: int, value: Function, kind: str = "", scale: fmpq = _ONE) -> bool:
         """Take ``x_k = value`` from an equation, and add its derivative; whether that follows.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -52,11 +52,25 @@ class Formulas:
                 formulas.outputs[match[1]] = (int(match[2]), int(match[3]), entries)
         return formulas
 
-    def walk(self, lift: Callable[[fmpq], Any], inputs: Mapping[str, Any]) -> list[Any]:
-        """The value of every instruction; ``inputs`` has a sequence for each operation that reads one."""
+    def walk(
+        self,
+        lift: Callable[[fmpq], Any],
+        inputs: Mapping[str, Any],
+        known: Mapping[int, Any] | None = None,
+        wanted: Iterable[int] | None = None,
+    ) -> list[Any]:
+        """The value of every instruction; ``inputs`` has a sequence for each operation that reads one.
+
+        With ``wanted`` only of what these instructions need, where some are ``known``; the others are None.
+        """
         values: list[Any] = []
-        for name, *operands in self.instructions:
-            if name == "constant":
+        known, needed = known or {}, None if wanted is None else self._needed(wanted, known or {})
+        for k, (name, *operands) in enumerate(self.instructions):
+            if k in known:
+                values.append(known[k])
+            elif needed is not None and k not in needed:
+                values.append(None)
+            elif name == "constant":
                 values.append(lift(rational(operands[0])))
             elif name in inputs:
                 values.append(inputs[name][int(operands[0])])
@@ -66,10 +80,7 @@ class Formulas:
 
     def part(self, place: int) -> Formulas:
         """The instructions that one of them needs, it being the last."""
-        needed = {place}
-        for k in range(place, -1, -1):
-            if k in needed and self._names(k):
-                needed |= {int(o) for o in self.instructions[k][1:]}
+        needed = self._needed([place], {})
         order = {k: at for at, k in enumerate(sorted(needed))}
         kept = [
             [self.instructions[k][0], *[str(order[int(o)]) for o in self.instructions[k][1:]]]
@@ -78,6 +89,13 @@ class Formulas:
             for k in order
         ]
         return Formulas(kept, {})
+
+    def _needed(self, wanted: Iterable[int], known: Container[int]) -> set[int]:
+        needed = {*wanted}
+        for k in range(max(needed, default=-1), -1, -1):
+            if k in needed and k not in known and self._names(k):
+                needed |= {int(o) for o in self.instructions[k][1:]}
+        return needed
 
     def _names(self, k: int) -> bool:
         """Whether the operands of an instruction are earlier ones."""

@@ -176,12 +176,13 @@ class Function(Value):
 class Field:
     """Rational functions over Q of symbols and atoms such as exp(x1), with the atoms' algebraic relations.
 
-    ``sin``, ``cos`` and ``exp`` of sums are expanded by their addition theorems. What is zero here is the zero
-    function; a function that is not zero here may still be, when its atoms are related in a way not known here.
+    ``sin``, ``cos`` and ``exp`` of sums are expanded by their addition theorems; with ``whole`` angles are left as they
+    are. What is zero here is the zero function; a function that is not zero here may still be, when its atoms are
+    related in a way not known here.
     """
 
     def __init__(self, symbols: int, pool: int, units: dict[tuple[bool, str, str], fmpq] | None = None) -> None:
-        self.pool, self.closed, self.units = pool, False, units or {}
+        self.pool, self.closed, self.units, self.whole = pool, False, units or {}, False
         self.ctx = fmpq_mpoly_ctx.get([f"a{k}" for k in range(pool)] + [f"v{k}" for k in range(symbols)], "lex")
         self.generators, self.one = self.ctx.gens(), self.ctx.constant(1)
         self.symbols = [Function(self, g, self.one) for g in self.generators[pool:]]
@@ -236,6 +237,8 @@ class Field:
 
     def _multiples(self, a: Function, angle: bool) -> list[tuple[Function, int]]:
         """The argument as a sum of integer multiples of units, one unit for each monomial."""
+        if angle and self.whole and a.top:
+            return [(-a, -1) if a.top.leading_coefficient() < 0 else (a, 1)]
         parts = []
         for exponents, coefficient in sorted(a.top.to_dict().items()):
             monomial = self.ctx.from_dict({exponents: 1})
