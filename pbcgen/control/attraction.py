@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbcgen.control.attractivity import Situation
 from pbcgen.control.landscape import Landscape
+from pbcgen.control.situation import Situation
 from pbcgen.passivity.shaping import add, congruence, shape_at
 from pbcgen.proof.boxes import Box, halves, lengths, longest_side
 from pbcgen.proof.claim import Status

@@ -1,4 +1,4 @@
-"""What the claims of attraction rest on, and from stable to asymptotically stable where the linearisation is silent.
+"""From stable to asymptotically stable, where the linearisation is silent or left out: LaSalle's invariant set.
 
 On the invariant set the filters rest: with ``w = ubar + kappa`` the saturated term gives ``w = -alpha tanh(beta z)``
 and the filter ``K_c x_c = w`` (no x_c for `passive-output`), hence
@@ -10,142 +10,17 @@ Under potential compensation u = grad V + ubar, and kappa is zero in this relati
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
-
-import casadi as ca
 from flint import fmpq
 
-from pbcgen.control.family import LoopFamily
-from pbcgen.control.gain_matrices import exact_inverse
-from pbcgen.control.transition import LinearLoop
+from pbcgen.control.situation import Situation
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.models.gains import Matrix, Vector
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
-from pbcgen.passivity.dissipation import NaturalDampingBounds, theta_is_strict
-from pbcgen.passivity.lasalle import Flow, InvariantSet, flow, invariant_set
-from pbcgen.passivity.plant import Plant, Point
+from pbcgen.models.laws import DynamicExtension, NaturalDamping, PassiveOutput
+from pbcgen.passivity.lasalle import InvariantSet
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import as_balls
-from pbcgen.symbolic.linear import Inconsistent, Row, reduce_rows
-from pbcgen.symbolic.real import BITS, Real, approximate, fraction, precision, sign, text
-from pbcgen.symbolic.tape import exact_decimal
-
-
-@dataclass(frozen=True, eq=False)
-class Situation:
-    """What the stability claims rest on.
-
-    Attributes:
-        plant, point, law: the system at x* and the law with resolved gains.
-        gamma: m x 1. eta: s x 1 or None.
-        structure: a power structure that proves Assumption 1 and matches gamma, or None.
-        bounds: of Assumption 3, for natural damping.
-        family, loop: the linearised closed loop, for other gains and for these.
-        found: the claims so far.
-    """
-
-    plant: Plant
-    point: Point
-    law: Law
-    gamma: ca.SX
-    eta: ca.SX | None
-    structure: PowerStructure | None
-    bounds: NaturalDampingBounds | None
-    family: LoopFamily
-    loop: LinearLoop
-    found: Mapping[str, Claim]
-
-    @property
-    def base(self) -> Law:
-        """The law without the integral term."""
-        return self.law.base if isinstance(self.law, Integral) else self.law
-
-    @property
-    def compensation(self) -> ca.SX | None:
-        """grad V for potential compensation, else None."""
-        mechanics = self.plant.system.mechanical
-        if isinstance(self.base, PotentialCompensation) and mechanics is not None:
-            return ca.gradient(mechanics.V, mechanics.q)
-        return None
-
-    @property
-    def gains(self) -> tuple[Vector, Vector, Matrix | None]:
-        """alpha, beta, K_c (None for `passive-output`)."""
-        base = self.base
-        if isinstance(base, NaturalDamping):
-            return base.alpha_c, base.beta_c, base.K_c
-        if isinstance(base, PassiveOutput):
-            return base.alpha, base.beta, None
-        if isinstance(base, Integral):
-            raise TypeError("an integral law has no integral base")
-        return base.alpha, base.beta, base.K_c
-
-    @property
-    def compliance(self) -> ca.SX:
-        """``K_c^{-1}``, m x m; zero for `passive-output`."""
-        _, _, K_c = self.gains
-        if K_c is None:
-            return ca.SX(self.plant.system.m, self.plant.system.m)
-        return ca.vertcat(*[ca.horzcat(*map(self.plant.number, row)) for row in exact_inverse(K_c)])
-
-    @cached_property
-    def flow(self) -> Flow | None:
-        """What moves on the invariant set, or None when the Lyapunov function does not give one."""
-        if self.structure is None or isinstance(self.law, Integral) or not self._theta_strict():
-            return None
-        still = self.eta if isinstance(self.base, NaturalDamping) else None
-        return flow(self.plant, self.structure, self.gamma, self.compensation, still)
-
-    @cached_property
-    def invariant(self) -> InvariantSet | None:
-        """The invariant set with ubar unknown, or None when it is not available."""
-        if self.flow is None:
-            return None
-        try:
-            return invariant_set(self.flow)
-        except (UnsupportedOperation, ZeroDivisionError, Inconsistent):
-            return None
-
-    def _theta_strict(self) -> bool:
-        """Theta > 0 is what makes eta', y and x_l' vanish where the Lyapunov function rests."""
-        if not isinstance(self.base, NaturalDamping):
-            return True
-        return self.bounds is not None and theta_is_strict(self.bounds, self.base)
-
-    def at_target(self, *functions: ca.SX) -> InvariantSet | None:
-        """The invariant set with u = u* and ``functions`` at their values of x*; None when those are not decimals."""
-        inputs: list[Real] = [fmpq(0)] * len(self.point.u) if self.compensation is not None else list(self.point.u)
-        fixed = [_decimal(v) for v in inputs]
-        start = self.flow
-        if start is None or any(v is None for v in fixed):
-            return None
-        equations = []
-        for function in functions:
-            (values,) = self.plant.at(self.point, function)
-            for expression, row in zip(ca.vertsplit(function), values, strict=True):
-                value = _decimal(row[0])
-                if value is None:
-                    return None
-                equations.append(expression - value)
-        try:
-            at_rest = ca.SX(ca.DM([v for v in fixed if v is not None]))
-            return invariant_set(start, at_rest, ca.vertcat(*equations))
-        except (UnsupportedOperation, ZeroDivisionError, Inconsistent):
-            return None
-
-
-def _decimal(value: Real) -> float | None:
-    """The double that denotes the exact number, or None."""
-    if not isinstance(value, fmpq):
-        return None
-    rounded = approximate(value)
-    return rounded if exact_decimal(rounded) == fraction(value) else None
-
-
-# --- local -------------------------------------------------------------------------------------------------------
+from pbcgen.symbolic.linear import Row, reduce_rows
+from pbcgen.symbolic.real import BITS, REAL, precision, reals, sign, text
 
 
 def beyond_linearisation(situation: Situation, by_lyapunov: bool) -> Claim | None:
@@ -162,15 +37,49 @@ def beyond_linearisation(situation: Situation, by_lyapunov: bool) -> Claim | Non
         return None
     found = situation.invariant
     if found is not None and found.resting and _isolated(situation):
-        chain = "; ".join(found.steps)
-        return Claim(
-            "asymptotically-stable",
-            Status.PROVED,
-            "near x*",
-            "Lyapunov function and LaSalle's invariant set by elimination",
-            f"where the Lyapunov function rests: {chain}; so x' = 0, and x* is an isolated equilibrium",
-        )
+        return _attractive(found)
     return _undamped(situation)
+
+
+def locally_by_storage(situation: Situation) -> Claim | None:
+    """`asymptotically-stable` PROVED without the linearised loop, or None; the premises of `stable` must be proved.
+
+    The invariant set consists of equilibria, and these are critical points of the storage, whose Hessian is regular at
+    x*: grad S - grad gamma u = A (f + g u), or F^-1 (f + g u) with F regular at x*, and x_c rests where the slope of
+    the storage in x_c vanishes.
+    """
+    structure, found = situation.structure, situation.invariant
+    known = isinstance(situation.law, DynamicExtension | PassiveOutput)
+    if not known or structure is None or found is None or not found.resting:
+        return None
+    return _attractive(found) if structure.form == "A" or _is_regular(situation, structure) else None
+
+
+def _is_regular(situation: Situation, structure: PowerStructure) -> bool:
+    """Whether F is a regular matrix of exact numbers at x*, and f = F grad S."""
+    if structure.remainder.nnz():
+        return False
+    plant, point = situation.plant, situation.point
+    parameters = reals(plant.parameter_values)
+    with precision(BITS):
+        (matrix,) = plant.tape(structure.matrix).walk(REAL, [list(point.x), list(point.u), parameters])
+    if not all(isinstance(entry, fmpq) for entry in matrix.entries.values()):
+        return False
+    rows: dict[int, Row] = {}
+    for (i, j), entry in matrix.entries.items():
+        rows.setdefault(i, {})[j] = entry
+    return len(reduce_rows(rows.values())) == plant.system.n
+
+
+def _attractive(found: InvariantSet) -> Claim:
+    chain = "; ".join(found.steps)
+    return Claim(
+        "asymptotically-stable",
+        Status.PROVED,
+        "near x*",
+        "Lyapunov function and LaSalle's invariant set by elimination",
+        f"where the Lyapunov function rests: {chain}; so x' = 0, and x* is an isolated equilibrium",
+    )
 
 
 def _isolated(situation: Situation) -> bool:

@@ -19,12 +19,12 @@ from typing import Any, Final
 import casadi as ca
 from flint import arb, fmpq
 
-from pbcgen.control.attractivity import Situation
 from pbcgen.control.cells import Loops
 from pbcgen.control.graph import LawGraph
 from pbcgen.control.sampled import Sampling
 from pbcgen.control.saturation import Range, Saturation, saturation
 from pbcgen.control.settings import Setting, Settings
+from pbcgen.control.situation import Situation
 from pbcgen.models.design import Design
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.plant import Point

@@ -10,6 +10,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from pbcgen.control.graph import LawGraph
+from pbcgen.models.design import Design
+from pbcgen.passivity.plant import Plant, Point
+from pbcgen.symbolic.real import approximate
+
 
 @dataclass(frozen=True)
 class ClosedLoop:
@@ -45,6 +50,27 @@ _TIME_CONSTANTS = 5
 _MOST_SAMPLES = 200_000
 #: Length of a simulation of a loop that does not settle, seconds.
 _UNSETTLED = 10.0
+#: How many slow modes of a large loop are looked at.
+_MODES = 6
+
+
+def _slow_decay(plant: ca.Function, controller: ca.Function, x_star: NDArray[np.float64]) -> float | None:
+    """The largest real part of the slowest modes of the linearised loop, 1/s, from sparse matrices; no proof.
+
+    For loops that are too large to look at all their modes; None where no mode is found.
+    """
+    from scipy.sparse.linalg import ArpackError, eigs
+
+    x, xi = ca.SX.sym("x", plant.size1_in(0)), ca.SX.sym("xi", controller.size1_in(1))
+    rate, u = controller(x, xi)
+    whole = ca.vertcat(x, xi)
+    slope = ca.Function("slope", [whole], [ca.jacobian(ca.vertcat(plant(x, u), rate), whole)])
+    matrix = slope(ca.vertcat(x_star, ca.DM.zeros(xi.numel()))).sparse()
+    try:
+        found = eigs(matrix, min(_MODES, matrix.shape[0] - 2), sigma=0, v0=np.ones(matrix.shape[0]))
+    except (ArpackError, RuntimeError):
+        return None
+    return max((float(v.real) for v in found[0]), default=None)
 
 
 def until_settled(abscissa: float | None, h: Fraction) -> float:
@@ -60,3 +86,42 @@ def until_settled(abscissa: float | None, h: Fraction) -> float:
     wanted = _TIME_CONSTANTS / -abscissa
     decade = 10.0 ** math.floor(math.log10(wanted))
     return min(next(k * decade for k in (1, 2, 5, 10) if k * decade >= wanted * (1 - 1e-9)), most)
+
+
+def closed_loop(plant: Plant, design: Design, graph: LawGraph, point: Point, abscissa: float | None) -> ClosedLoop:
+    """Numeric functions of plant, sensors and continuous law.
+
+    ``abscissa`` is the largest real part of the linearised loop, None for one that was too large to be linearised.
+    """
+    system = plant.system
+    values = np.array([float(plant.values[n]) for n in system.parameters.names])
+
+    def at_values(expression: ca.SX) -> ca.SX:
+        return ca.substitute(expression, ca.SX(system.parameters.symbols), values) if len(values) else expression
+
+    measured = at_values(system.measured_expressions)
+    rate, u = graph.rounded(*graph.continuous)
+    of_state = [ca.substitute(e, graph.m, measured) if e.numel() else e for e in (rate, u)]
+    motion = ca.Function("plant", [system.x, system.u], [at_values(system.xdot)], ["x", "u"], ["xdot"])
+    controller = ca.Function("controller", [system.x, graph.xi], of_state, ["x", "xi"], ["rate", "u"])
+    x_star = np.array([approximate(v) for v in point.x])
+    if design.duration is None:
+        slowest = _slow_decay(motion, controller, x_star) if abscissa is None else abscissa
+        duration = until_settled(slowest, design.sample_period)
+    else:
+        duration = float(design.duration)
+    return ClosedLoop(
+        motion,
+        ca.Function("measure", [system.x], [measured], ["x"], ["m"]),
+        controller,
+        None,
+        x_star,
+        np.array([approximate(v) for v in point.u]),
+        graph.names,
+        np.array([float(v) for v in design.initial]),
+        duration,
+        system.state_names,
+        tuple(system.units.get(n, "") for n in system.state_names),
+        system.input_names,
+        tuple(system.units.get(n, "") for n in system.input_names),
+    )

@@ -9,12 +9,9 @@ from time import perf_counter
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
-from pbcgen.control.attractivity import Situation
 from pbcgen.control.box import box_claim
-from pbcgen.control.closed_loop import ClosedLoop, until_settled
-from pbcgen.control.family import LoopFamily
+from pbcgen.control.closed_loop import ClosedLoop, closed_loop
 from pbcgen.control.graph import Interface, LawGraph, Needs, build, control_law, needs
 from pbcgen.control.hyperbolic import Tanh
 from pbcgen.control.law import ControlLaw, Precision, Signal
@@ -22,6 +19,7 @@ from pbcgen.control.measure import Measurement
 from pbcgen.control.sampled import Sampling
 from pbcgen.control.saturation import saturation
 from pbcgen.control.settings import Settings
+from pbcgen.control.situation import Situation
 from pbcgen.control.stability import StabilityVerdicts, stability
 from pbcgen.errors import ModelError, UnsupportedOperation
 from pbcgen.models.design import Design
@@ -179,7 +177,7 @@ def derive(design: Design, progress: Progress = None, sampling: Sampling | None 
     graph = at_target.graph if at_target else None
     interface = at_target.interface if at_target else None
     slowest = numbers.get("spectral_abscissa")
-    loop = _closed_loop(plant, design, graph, equilibrium.point, slowest) if graph and equilibrium.point else None
+    loop = closed_loop(plant, design, graph, equilibrium.point, slowest) if graph and equilibrium.point else None
     return Derivation(
         design,
         plant,
@@ -348,7 +346,6 @@ class _AtTarget:
 
     def _situation(self, stages: _Stages) -> Situation:
         assert self.output is not None
-        family = LoopFamily.of(self.plant, self.point, self.output.gamma, self.eta)
         return Situation(
             self.plant,
             self.point,
@@ -357,8 +354,6 @@ class _AtTarget:
             self.eta,
             self._structure(),
             self.bounds,
-            family,
-            family.loop(self.law),
             stages.claims,
         )
 
@@ -442,34 +437,6 @@ def _interface(
     (measured,) = plant.at(point, system.measured_expressions)
     rest = tuple(approximate(row[0]) for row in measured)
     return Interface(design.name or "controller", inputs, outputs, intervals, equilibrium, ranges, rest)
-
-
-def _closed_loop(plant: Plant, design: Design, graph: LawGraph, point: Point, abscissa: float | None) -> ClosedLoop:
-    """Numeric functions of plant, sensors and continuous law."""
-    system = plant.system
-    values = np.array([float(plant.values[n]) for n in system.parameters.names])
-
-    def at_values(expression: ca.SX) -> ca.SX:
-        return ca.substitute(expression, ca.SX(system.parameters.symbols), values) if len(values) else expression
-
-    measured = at_values(system.measured_expressions)
-    rate, u = graph.rounded(*graph.continuous)
-    of_state = [ca.substitute(e, graph.m, measured) if e.numel() else e for e in (rate, u)]
-    return ClosedLoop(
-        ca.Function("plant", [system.x, system.u], [at_values(system.xdot)], ["x", "u"], ["xdot"]),
-        ca.Function("measure", [system.x], [measured], ["x"], ["m"]),
-        ca.Function("controller", [system.x, graph.xi], of_state, ["x", "xi"], ["rate", "u"]),
-        None,
-        np.array([approximate(v) for v in point.x]),
-        np.array([approximate(v) for v in point.u]),
-        graph.names,
-        np.array([float(v) for v in design.initial]),
-        until_settled(abscissa, design.sample_period) if design.duration is None else float(design.duration),
-        system.state_names,
-        tuple(system.units.get(n, "") for n in system.state_names),
-        system.input_names,
-        tuple(system.units.get(n, "") for n in system.input_names),
-    )
 
 
 def _fill(

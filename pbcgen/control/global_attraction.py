@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pbcgen.control.attractivity import Situation
 from pbcgen.control.only_rest import only_rest, storage_is_convex
 from pbcgen.control.other_rest import other_rest
+from pbcgen.control.situation import Situation
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.laws import Integral, NaturalDamping
 from pbcgen.passivity.construction import drift_by_construction
@@ -22,20 +22,20 @@ _ENTIRE_KINDS = frozenset({"sin", "cos", "exp", "tanh", "atan", "asinh", "erf"})
 _POSITIVE_ARGUMENT = frozenset({"sqrt", "log"})
 
 
-def globally(situation: Situation, by_lyapunov: bool, asymptotic: Claim) -> Claim:
-    """The claim `globally-asymptotically-stable`."""
+def globally(situation: Situation, by_lyapunov: bool, asymptotic: Claim, stored: Claim | None = None) -> Claim:
+    """The claim `globally-asymptotically-stable`; ``stored`` is what :func:`by_storage` says, if it was asked."""
     if asymptotic.status is Status.REFUTED:
         return _verdict(
             Status.REFUTED, asymptotic.method, asymptotic.evidence, asymptotic.hint, asymptotic.counterexample
         )
-    proved_or_open = _by_storage(situation, by_lyapunov)
+    proved_or_open = stored or by_storage(situation, by_lyapunov)
     if proved_or_open.status is Status.PROVED:
         return proved_or_open
     found = other_rest(situation)
     return proved_or_open if found is None else _second(situation, found)
 
 
-def _by_storage(situation: Situation, by_lyapunov: bool) -> Claim:
+def by_storage(situation: Situation, by_lyapunov: bool) -> Claim:
     """PROVED by the Lyapunov function, or what is missing for that."""
     if isinstance(situation.law, Integral):
         return _verdict(

@@ -16,8 +16,8 @@ import numpy as np
 from flint import arb, arb_mat
 from numpy.typing import NDArray
 
-from pbcgen.control.attractivity import Situation
 from pbcgen.control.envelope import Envelope, log_cosh
+from pbcgen.control.situation import Situation
 from pbcgen.models.laws import NaturalDamping
 from pbcgen.passivity.shaping import congruence, multiply, transpose
 from pbcgen.proof.boxes import Box

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import casadi as ca
 from flint import fmpq
 
-from pbcgen.control.attractivity import Situation
+from pbcgen.control.situation import Situation
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.coordinates import injective
 from pbcgen.passivity.inertia import missing_for_definiteness

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from pbcgen.control.attractivity import Situation
+from pbcgen.control.situation import Situation
 from pbcgen.models.laws import Integral
 from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, ball, precision, rational, sign

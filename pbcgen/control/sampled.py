@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from pbcgen.control.attractivity import Situation
 from pbcgen.control.common_storage import solver_available
 from pbcgen.control.family import LoopFamily
 from pbcgen.control.gain_change import FACTORS, GainChange, gain_change
@@ -21,6 +20,7 @@ from pbcgen.control.jitter import Jitter, jitter
 from pbcgen.control.linearisation import Examined, estimate, examine, spectral
 from pbcgen.control.lyapunov_period import LyapunovPeriods, lyapunov_periods
 from pbcgen.control.scan import Scan, scan
+from pbcgen.control.situation import Situation
 from pbcgen.control.transition import LinearLoop
 from pbcgen.errors import ModelError
 from pbcgen.models.laws import Law
@@ -72,7 +72,8 @@ class Routes:
 
     Attributes:
         h: seconds. longest: the longest period that may occur; h without jitter.
-        lyapunov: of the continuous storage. spectral: of the linearised sampled loop.
+        lyapunov: of the continuous storage. spectral: of the linearised sampled loop, or None: it is large, and the
+            storage decides.
         scan: what is proved of the linearised loop with shorter and longer periods.
         estimate: of the end of the stable periods, where the scan did not reach it.
         examined: single periods instead of a scan, for the refusal of large loops.
@@ -82,7 +83,7 @@ class Routes:
     h: Fraction
     longest: Fraction
     lyapunov: LyapunovPeriods
-    spectral: Stability
+    spectral: Stability | None
     scan: Scan
     estimate: Fraction | None
     jitter: Jitter | None = None
@@ -99,7 +100,7 @@ class Routes:
     def by_spectrum(self) -> bool:
         """Whether the linearised loop is proved stable, with jitter by a common storage."""
         varied = self.longest == self.h or (self.jitter is not None and self.jitter.status is Status.PROVED)
-        return varied and self.spectral.status is Status.PROVED
+        return varied and self.spectral is not None and self.spectral.status is Status.PROVED
 
     @property
     def largest(self) -> float | None:
@@ -120,7 +121,7 @@ class Routes:
         found, storage = self.scan, self.lyapunov.largest
         single = self.examined.stable if self.examined is not None else None
         return ({} if single is None else {"spectral_stable_at": float(single)}) | {
-            "spectral_stable_to": float(self._scanned_to),
+            "spectral_stable_to": None if self.spectral is None else float(self._scanned_to),
             "spectral_unstable_at": None if found.unstable_at is None else float(found.unstable_at),
             "spectral_scan_complete": not found.exhausted,
             "lyapunov_stable_to": None if storage is None else float(storage),
@@ -146,7 +147,8 @@ def verdict(routes: Routes, asymptotic: Claim, overall: Claim, change: GainChang
         change: gains that would allow the period, for the hint.
     """
     spectral = routes.by_spectrum
-    by_spectrum = _SPECTRAL if routes.spectral.lyapunov is None else _SPECTRAL_LARGE
+    here = routes.spectral
+    by_spectrum = _SPECTRAL_LARGE if here is not None and here.lyapunov is not None else _SPECTRAL
     lyapunov = routes.by_lyapunov and asymptotic.status is Status.PROVED
     whole = lyapunov and overall.status is Status.PROVED
     domain = "sampled loop, all x" if whole else "sampled loop"
@@ -156,9 +158,9 @@ def verdict(routes: Routes, asymptotic: Claim, overall: Claim, change: GainChang
         return Claim(
             "sampled-stable", Status.PROVED, domain, " and ".join(methods), evidence, certificate=_certificate(routes)
         )
-    refuted = routes.spectral.status is Status.REFUTED
+    refuted = here is not None and here.status is Status.REFUTED
     status = Status.REFUTED if refuted else Status.UNDECIDED
-    counterexample = {"spectral_radius": radius_text(routes.spectral.extreme)} if refuted else None
+    counterexample = {"spectral_radius": radius_text(here.extreme)} if here is not None and refuted else None
     return Claim(
         "sampled-stable", status, domain, by_spectrum, evidence, _hint(routes, asymptotic, change), counterexample
     )
@@ -177,7 +179,9 @@ def radius_text(radius: float) -> str:
 def _evidence(routes: Routes) -> list[str]:
     h = float(routes.h)
     delayed = f" and a delay of {float(routes.scan.delay):g} samples" if routes.scan.delay else ""
-    lines = [f"h = {h:.6g} s{delayed}: spectral radius {radius_text(routes.spectral.extreme)} (local)"]
+    lines = [f"h = {h:.6g} s{delayed}"]
+    if routes.spectral is not None:
+        lines[0] += f": spectral radius {radius_text(routes.spectral.extreme)} (local)"
     if routes.jitter is not None:
         varied = routes.jitter
         serves = "one quadratic storage serves" if varied.status is Status.PROVED else "no common storage was found for"
@@ -196,6 +200,8 @@ def _evidence(routes: Routes) -> list[str]:
 
 def _extent(routes: Routes) -> list[str]:
     """What is proved of other periods."""
+    if routes.spectral is None:
+        return ["the loop was not linearised: it is large, and the storage decides (--sampled-scan does it)"]
     found = routes.scan
     at = None if found.unstable_at is None else f"{float(found.unstable_at):.9g} s"
     if found.stable_to == found.start:
@@ -226,7 +232,8 @@ def _examined(found: Examined | None, h: Fraction) -> str:
 
 
 def _certificate(routes: Routes) -> dict[str, object]:
-    result: dict[str, object] = {"routh": [f"{float(midpoint(v)):.17g}" for v in routes.spectral.routh]}
+    column = () if routes.spectral is None else routes.spectral.routh
+    result: dict[str, object] = {"routh": [f"{float(midpoint(v)):.17g}" for v in column]}
     if routes.lyapunov.largest is not None:
         result["lyapunov_period"] = str(routes.lyapunov.largest)
     result["cells"] = [[str(a), str(b)] for a, b in routes.scan.cells]
@@ -236,7 +243,7 @@ def _certificate(routes: Routes) -> dict[str, object]:
 def _hint(routes: Routes, asymptotic: Claim, change: GainChange | None) -> str:
     if asymptotic.status is not Status.PROVED:
         return "satisfy asymptotically-stable first"
-    if routes.jitter is not None and routes.spectral.status is Status.PROVED:
+    if routes.jitter is not None and routes.spectral is not None and routes.spectral.status is Status.PROVED:
         share = float(routes.jitter.share)
         more = "" if solver_available() else "; the extra `sos` (a solver) proves more"
         return (
@@ -269,7 +276,7 @@ def decide(
     situation: Situation,
     h: Fraction,
     missing: Sequence[str],
-    continuous: Stability,
+    spare: bool,
     asymptotic: Claim,
     overall: Claim,
     sampling: Sampling,
@@ -280,18 +287,24 @@ def decide(
         situation: plant, target, law and the claims so far.
         h: sample period, seconds.
         missing: premises of the continuous Lyapunov proof that are not proved.
-        continuous: whether the linearised continuous loop is Hurwitz.
+        spare: leave the linearised loop out where the storage covers h: it is large.
         asymptotic: the local verdict on the continuous loop.
         overall: the global one.
         sampling: delay and jitter, and how much to prove.
     """
-    loop, delay = situation.loop, sampling.delay
+    delay = sampling.delay
     if delay:
         storage = LyapunovPeriods(None, "the input is delayed")
     else:
         storage = lyapunov_periods(
             situation.plant, situation.structure, situation.gamma, situation.eta, situation.law, missing
         )
+    if spare and not sampling.scan:
+        unscanned = Scan(Fraction(0), Fraction(0), None, (), delay, complete=False, exhausted=True)
+        routes = Routes(h, h * (1 + sampling.jitter), storage, None, unscanned, None)
+        if routes.by_lyapunov and asymptotic.status is Status.PROVED:
+            return verdict(routes, asymptotic, overall, None), routes
+    loop, continuous = situation.loop, situation.linearised
     here = spectral(loop, h, delay)
     size = sum(loop.sizes[:2])
     small = size <= _LARGEST_SEARCH

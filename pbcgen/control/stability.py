@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from pbcgen.control.attractivity import Situation, beyond_linearisation
-from pbcgen.control.global_attraction import globally
+from pbcgen.control.attractivity import beyond_linearisation, locally_by_storage
+from pbcgen.control.global_attraction import by_storage, globally
 from pbcgen.control.sampled import Sampling, decide
+from pbcgen.control.situation import LARGEST_LINEARISED, Situation
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.spectrum import Stability, hurwitz
+from pbcgen.proof.spectrum import Stability
 from pbcgen.symbolic.real import approximate
 
 #: The method of `stable` when the premises of Prop. pro1, pro2 or pro4 are proved.
@@ -22,11 +23,11 @@ _LINEARISATION_LARGE = "linearisation: Lyapunov matrix proposed in floating poin
 
 @dataclass(frozen=True)
 class StabilityVerdicts:
-    """The claims, and the spectral figures for display."""
+    """The claims, and the spectral figures for display, None where the loop was not linearised."""
 
     claims: tuple[Claim, ...]
-    spectral_abscissa: float
-    spectral_radius: float
+    spectral_abscissa: float | None
+    spectral_radius: float | None
     max_sample_period: float | None
     sampled: Mapping[str, object]
 
@@ -45,25 +46,51 @@ def lyapunov_premises(law: Law) -> tuple[str, ...]:
 def stability(situation: Situation, h: Fraction, sampling: Sampling | None = None) -> StabilityVerdicts:
     """Decide `stable`, `asymptotically-stable`, `globally-asymptotically-stable` and `sampled-stable`."""
     law, found = situation.law, situation.found
-    continuous = hurwitz(situation.loop.continuous())
     premises = lyapunov_premises(law)
     missing = [name for name in premises if found[name].status is not Status.PROVED]
     by_lyapunov = bool(premises) and not missing
-    asymptotic = _asymptotic(continuous, by_lyapunov, missing, situation)
-    overall = globally(situation, by_lyapunov, asymptotic)
-    if overall.status is Status.PROVED and asymptotic.status is Status.UNDECIDED:
-        asymptotic = replace(overall, claim="asymptotically-stable", domain="near x*")
+    attraction = _by_storage(situation) if by_lyapunov and situation.order > LARGEST_LINEARISED else None
+    spared = attraction is not None
+    asymptotic, overall = attraction or _by_linearisation(situation, by_lyapunov, missing)
     sampled, routes = decide(
         situation,
         h,
         missing if premises else ["the whole route"],
-        continuous,
+        spared,
         asymptotic,
         overall,
         sampling or Sampling(),
     )
-    claims = (_stable(continuous, by_lyapunov, premises, missing, situation), asymptotic, overall, sampled)
-    return StabilityVerdicts(claims, continuous.extreme, routes.spectral.extreme, routes.largest, routes.figures)
+    if by_lyapunov:
+        evidence = "follows from " + ", ".join(premises)
+        stable = Claim("stable", Status.PROVED, "near x*", LYAPUNOV, evidence)
+    else:
+        stable = _stable(situation.linearised, missing, situation)
+    return StabilityVerdicts(
+        (stable, asymptotic, overall, sampled),
+        None if spared else situation.linearised.extreme,
+        None if routes.spectral is None else routes.spectral.extreme,
+        routes.largest,
+        routes.figures,
+    )
+
+
+def _by_storage(situation: Situation) -> tuple[Claim, Claim] | None:
+    """`asymptotically-stable` and `globally-asymptotically-stable` where the storage decides: no linearisation."""
+    overall = by_storage(situation, by_lyapunov=True)
+    if overall.status is Status.PROVED:
+        return replace(overall, claim="asymptotically-stable", domain="near x*"), overall
+    asymptotic = locally_by_storage(situation)
+    return None if asymptotic is None else (asymptotic, globally(situation, True, asymptotic, overall))
+
+
+def _by_linearisation(situation: Situation, by_lyapunov: bool, missing: Sequence[str]) -> tuple[Claim, Claim]:
+    """The same two claims from the linearised loop, and from the storage where that does not decide."""
+    asymptotic = _asymptotic(situation.linearised, by_lyapunov, missing, situation)
+    overall = globally(situation, by_lyapunov, asymptotic)
+    if overall.status is Status.PROVED and asymptotic.status is Status.UNDECIDED:
+        asymptotic = replace(overall, claim="asymptotically-stable", domain="near x*")
+    return asymptotic, overall
 
 
 def _method(verdict: Stability) -> str:
@@ -74,11 +101,7 @@ def _certificate(verdict: Stability) -> dict[str, object]:
     return {"routh": [f"{approximate(v):.17g}" for v in verdict.routh]}
 
 
-def _stable(
-    continuous: Stability, by_lyapunov: bool, premises: Sequence[str], missing: Sequence[str], situation: Situation
-) -> Claim:
-    if by_lyapunov:
-        return Claim("stable", Status.PROVED, "near x*", LYAPUNOV, "follows from " + ", ".join(premises))
+def _stable(continuous: Stability, missing: Sequence[str], situation: Situation) -> Claim:
     if continuous.status is Status.PROVED:
         evidence = f"spectral abscissa {continuous.extreme:.6g}; the Lyapunov route is {_why_not(missing)}"
         method = _method(continuous)

@@ -14,6 +14,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Any, Generic, Protocol, TypeVar
 
 import casadi as ca
@@ -208,8 +209,8 @@ class Tape:
         """
         if tuple(len(argument) for argument in inputs) != self.input_sizes:
             raise ValueError(f"inputs of sizes {self.input_sizes} were expected")
-        values: list[T] = []
-        for instruction in self.instructions:
+        values: list[Any] = []
+        for instruction, spent in zip(self.instructions, self._spent, strict=True):
             match instruction:
                 case Constant(value):
                     values.append(algebra.const(value))
@@ -222,7 +223,22 @@ class Tape:
                             f"the operation `{name.rstrip('_')}` has no meaning in {type(algebra).__name__}"
                         )
                     values.append(method(*(values[o] for o in operands)))
+            for position in spent:
+                values[position] = None
         return [Matrix(m.shape, {at: values[v] for at, v in m.entries.items()}) for m in self.outputs]
+
+    @cached_property
+    def _spent(self) -> tuple[tuple[int, ...], ...]:
+        """For each instruction the values that nothing after it needs: the partial sums of a long sum are as long."""
+        last: dict[int, int] = {}
+        for k, instruction in enumerate(self.instructions):
+            last.update(dict.fromkeys(instruction.operands if isinstance(instruction, Operation) else (), k))
+        last.update({v: len(self.instructions) for matrix in self.outputs for v in matrix.entries.values()})
+        spent: list[list[int]] = [[] for _ in self.instructions]
+        for position, k in last.items():
+            if k < len(spent):
+                spent[k].append(position)
+        return tuple(map(tuple, spent))
 
     def uses(self, name: str) -> bool:
         """Whether the operation ``name`` occurs."""

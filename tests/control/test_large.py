@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from fractions import Fraction
 from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import pytest
 
 from pbcgen import Circuit, Design, DynamicExtension, Limits, Mechanical, Parameters
+from pbcgen.control.closed_loop import until_settled
 from pbcgen.control.derive import derive
 from pbcgen.control.gain_change import scaled
 from pbcgen.control.linearisation import examine, spectral
 from pbcgen.control.sampled import Sampling
+from pbcgen.control.situation import Situation
 from pbcgen.pipeline import check
 from pbcgen.proof.claim import Status
 
 
-def ladder(n: int, resistance: str = "1", leakage: str = "0.1", where: int = 0) -> Design:
+def ladder(n: int, resistance: str = "1", leakage: str = "0.1", where: int = 0, **more: Any) -> Design:
     """n/2 sections of an RLC ladder; the section ``where`` has its own resistance and leakage."""
     p = Parameters(L="0.01", C="1e-4", r=1, G="0.1")
     own = {"r": float(resistance), "G": float(leakage)}
@@ -39,17 +42,50 @@ def ladder(n: int, resistance: str = "1", leakage: str = "0.1", where: int = 0) 
         g_L=ca.vertcat(-1, ca.SX(k - 1, 1)),
         inputs=["u"],
         parameters=p,
+        **more,
     )
     law = DynamicExtension(alpha=10, beta=1, K_c=1, R_c=1)
     return Design(circuit, target={"v0": "0.001"}, law=law, limits=Limits.symmetric(1000), sample_period="1e-6")
 
 
-def test_a_ladder_of_sixty_states_is_proved_globally() -> None:
-    claims = {c.claim: c for c in check(ladder(60)).claims}
+def was_linearised(situation: Situation | None) -> bool:
+    assert situation is not None
+    return "loop" in vars(situation) or "family" in vars(situation)
+
+
+def test_a_ladder_of_sixty_states_is_proved_globally_without_being_linearised() -> None:
+    found = derive(ladder(60))
+    claims = {c.claim: c for c in found.claims}
     assert {c.status for c in claims.values()} == {Status.PROVED}
     assert claims["globally-asymptotically-stable"].domain == "all x"
-    assert "Lyapunov matrix" in claims["asymptotically-stable"].method
-    assert "the others were not examined" in claims["sampled-stable"].evidence
+    assert claims["sampled-stable"].domain == "sampled loop, all x"
+    assert not was_linearised(found.situation)
+    assert found.derived["spectral_abscissa"] is None
+    assert found.situation is not None
+    linear = found.situation.linearised
+    assert linear.status is Status.PROVED
+    assert linear.lyapunov is not None
+    assert found.loop is not None
+    assert found.loop.duration == until_settled(linear.extreme, found.design.sample_period)
+
+
+def test_a_large_ladder_on_a_domain_is_proved_locally_without_being_linearised() -> None:
+    found = derive(ladder(60, domain={"i0": (-1, 1)}))
+    claims = {c.claim: c for c in found.claims}
+    assert claims["asymptotically-stable"].status is Status.PROVED
+    assert "isolated" in claims["asymptotically-stable"].evidence
+    assert claims["globally-asymptotically-stable"].status is Status.UNDECIDED
+    assert claims["sampled-stable"].domain == "sampled loop"
+    assert not was_linearised(found.situation)
+
+
+@pytest.mark.system
+def test_a_large_ladder_that_is_sampled_too_slowly_is_refuted_by_its_linearisation() -> None:
+    found = derive(ladder(60).with_(sample_period="1e-4"))
+    claims = {c.claim: c for c in found.claims}
+    assert claims["asymptotically-stable"].status is Status.PROVED
+    assert claims["sampled-stable"].status is Status.REFUTED
+    assert claims["sampled-stable"].counterexample
 
 
 @pytest.mark.system

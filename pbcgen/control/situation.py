@@ -1,0 +1,158 @@
+"""What the stability claims rest on: a law at its target, with what is made of it when a claim asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+from flint import fmpq
+
+from pbcgen.control.family import LoopFamily
+from pbcgen.control.gain_matrices import exact_inverse
+from pbcgen.control.transition import LinearLoop
+from pbcgen.errors import UnsupportedOperation
+from pbcgen.models.gains import Matrix, Vector
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.passivity.dissipation import NaturalDampingBounds, theta_is_strict
+from pbcgen.passivity.lasalle import Flow, InvariantSet, flow, invariant_set
+from pbcgen.passivity.plant import Plant, Point
+from pbcgen.passivity.structure import PowerStructure
+from pbcgen.proof.claim import Claim
+from pbcgen.proof.spectrum import Stability, hurwitz
+from pbcgen.symbolic.linear import Inconsistent
+from pbcgen.symbolic.real import Real, approximate, fraction
+from pbcgen.symbolic.tape import exact_decimal
+
+#: Loops of more states are linearised only where the storage leaves a claim open: that takes dense matrices.
+LARGEST_LINEARISED = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """What the stability claims rest on.
+
+    Attributes:
+        plant, point, law: the system at x* and the law with resolved gains.
+        gamma: m x 1. eta: s x 1 or None.
+        structure: a power structure that proves Assumption 1 and matches gamma, or None.
+        bounds: of Assumption 3, for natural damping.
+        found: the claims so far.
+    """
+
+    plant: Plant
+    point: Point
+    law: Law
+    gamma: ca.SX
+    eta: ca.SX | None
+    structure: PowerStructure | None
+    bounds: NaturalDampingBounds | None
+    found: Mapping[str, Claim]
+
+    @property
+    def base(self) -> Law:
+        """The law without the integral term."""
+        return self.law.base if isinstance(self.law, Integral) else self.law
+
+    @property
+    def compensation(self) -> ca.SX | None:
+        """grad V for potential compensation, else None."""
+        mechanics = self.plant.system.mechanical
+        if isinstance(self.base, PotentialCompensation) and mechanics is not None:
+            return ca.gradient(mechanics.V, mechanics.q)
+        return None
+
+    @property
+    def gains(self) -> tuple[Vector, Vector, Matrix | None]:
+        """alpha, beta, K_c (None for `passive-output`)."""
+        base = self.base
+        if isinstance(base, NaturalDamping):
+            return base.alpha_c, base.beta_c, base.K_c
+        if isinstance(base, PassiveOutput):
+            return base.alpha, base.beta, None
+        if isinstance(base, Integral):
+            raise TypeError("an integral law has no integral base")
+        return base.alpha, base.beta, base.K_c
+
+    @property
+    def compliance(self) -> ca.SX:
+        """``K_c^{-1}``, m x m; zero for `passive-output`."""
+        _, _, K_c = self.gains
+        if K_c is None:
+            return ca.SX(self.plant.system.m, self.plant.system.m)
+        return ca.vertcat(*[ca.horzcat(*map(self.plant.number, row)) for row in exact_inverse(K_c)])
+
+    @property
+    def order(self) -> int:
+        """The number of states of plant and controller."""
+        filters = 0 if isinstance(self.base, PassiveOutput) else 2 if isinstance(self.base, NaturalDamping) else 1
+        return self.plant.system.n + self.plant.system.m * (filters + isinstance(self.law, Integral))
+
+    @cached_property
+    def family(self) -> LoopFamily:
+        """The closed loop linearised at x*, for any gains: dense matrices."""
+        return LoopFamily.of(self.plant, self.point, self.gamma, self.eta)
+
+    @cached_property
+    def loop(self) -> LinearLoop:
+        """The closed loop linearised at x*."""
+        return self.family.loop(self.law)
+
+    @cached_property
+    def linearised(self) -> Stability:
+        """Whether the linearised continuous loop is Hurwitz."""
+        return hurwitz(self.loop.continuous())
+
+    @cached_property
+    def flow(self) -> Flow | None:
+        """What moves on the invariant set, or None when the Lyapunov function does not give one."""
+        if self.structure is None or isinstance(self.law, Integral) or not self._theta_strict():
+            return None
+        still = self.eta if isinstance(self.base, NaturalDamping) else None
+        return flow(self.plant, self.structure, self.gamma, self.compensation, still)
+
+    @cached_property
+    def invariant(self) -> InvariantSet | None:
+        """The invariant set with ubar unknown, or None when it is not available."""
+        if self.flow is None:
+            return None
+        try:
+            return invariant_set(self.flow)
+        except (UnsupportedOperation, ZeroDivisionError, Inconsistent):
+            return None
+
+    def _theta_strict(self) -> bool:
+        """Theta > 0 is what makes eta', y and x_l' vanish where the Lyapunov function rests."""
+        if not isinstance(self.base, NaturalDamping):
+            return True
+        return self.bounds is not None and theta_is_strict(self.bounds, self.base)
+
+    def at_target(self, *functions: ca.SX) -> InvariantSet | None:
+        """The invariant set with u = u* and ``functions`` at their values of x*; None when those are not decimals."""
+        inputs: list[Real] = [fmpq(0)] * len(self.point.u) if self.compensation is not None else list(self.point.u)
+        fixed = [_decimal(v) for v in inputs]
+        start = self.flow
+        if start is None or any(v is None for v in fixed):
+            return None
+        equations = []
+        for function in functions:
+            (values,) = self.plant.at(self.point, function)
+            for expression, row in zip(ca.vertsplit(function), values, strict=True):
+                value = _decimal(row[0])
+                if value is None:
+                    return None
+                equations.append(expression - value)
+        try:
+            at_rest = ca.SX(ca.DM([v for v in fixed if v is not None]))
+            return invariant_set(start, at_rest, ca.vertcat(*equations))
+        except (UnsupportedOperation, ZeroDivisionError, Inconsistent):
+            return None
+
+
+def _decimal(value: Real) -> float | None:
+    """The double that denotes the exact number, or None."""
+    if not isinstance(value, fmpq):
+        return None
+    rounded = approximate(value)
+    return rounded if exact_decimal(rounded) == fraction(value) else None
