@@ -14,6 +14,8 @@ from pbcgen.errors import ModelError
 Number = str | int | float | Fraction | Decimal
 
 _LONGEST_NUMBER = 400
+#: Products of a few numbers of such sizes are doubles.
+_SMALLEST, _LARGEST = Fraction(1, 10**100), Fraction(10**100)
 
 
 def exact(value: Number, what: str) -> Fraction:
@@ -24,15 +26,15 @@ def exact(value: Number, what: str) -> Fraction:
         what: how the message calls the number, for example "the parameter `R1`".
 
     Raises:
-        ModelError: if the value is missing, not a number, not finite, or outside the range of a double.
+        ModelError: if the value is missing, not a number, not finite, or of a size beyond doubles.
     """
     if value is None:
         raise ModelError(f"{what} has no value: give it a number")
     number = _fraction(value)
     if number is None:
         raise ModelError(f"{what} is {value!r}: a finite number was expected, such as 100 or '2.2e-4'")
-    if not _fits_double(number):
-        raise ModelError(f"{what} is {value!r}: this is outside the range of double precision numbers")
+    if number and not _SMALLEST <= abs(number) <= _LARGEST:
+        raise ModelError(f"{what} is {value!r}: its size must lie between 1e-100 and 1e100; check the unit")
     return number
 
 
@@ -51,6 +53,8 @@ def decimal(value: Fraction) -> str:
 
 
 def _fraction(value: Any) -> Fraction | None:
+    if getattr(value, "ndim", None) == 0:  # a NumPy array of one number
+        value = value.item()
     match value:
         case bool():
             return None
@@ -75,11 +79,3 @@ def _parsed(text: str) -> Fraction | None:
         return Fraction(text.strip())
     except (ValueError, ZeroDivisionError):
         return None
-
-
-def _fits_double(value: Fraction) -> bool:
-    try:
-        rounded = float(value)
-    except OverflowError:
-        return False
-    return rounded != 0 or value == 0

@@ -146,7 +146,9 @@ def rank(value: Matrix) -> int:
 
 def is_sequence(value: object) -> bool:
     """Whether a gain was given as several numbers."""
-    return isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str)
 
 
 def _nonempty(value: Any, what: str) -> list[Any]:

@@ -182,7 +182,7 @@ def eigenvalues(matrix: RealMatrix) -> list[float]:
         if np.all(np.isfinite(doubles)) and np.min(np.abs(doubles)) > _SHOWN_BY_DOUBLES * np.max(np.abs(doubles)):
             return [float(v) for v in doubles]
     middle = acb_mat([[ball(rational(midpoint(entry))) for entry in row] for row in matrix])
-    return sorted(float(midpoint(v.real)) for v in middle.eig(algorithm="approx"))
+    return sorted(approximate(v.real) for v in middle.eig(algorithm="approx"))
 
 
 def as_balls(matrix: RealMatrix) -> arb_mat:

@@ -131,6 +131,8 @@ class Field:
         scales: for each (kind, monomial) the rational unit of which all its multiples are integers.
     """
 
+    title = "exact algebra"
+
     def __init__(
         self, names: Sequence[str], pool: int = 0, scales: dict[tuple[str, str], Fraction] | None = None
     ) -> None:

@@ -164,6 +164,8 @@ class RealAlgebra:
     Discontinuous operations give an undefined enclosure at their jump, so a derivative taken there is never trusted.
     """
 
+    title = "ball arithmetic"
+
     def const(self, value: Fraction) -> Real:
         return rational(value)
 

@@ -219,9 +219,8 @@ class Tape:
                 case Operation(name, operands):
                     method: Any = getattr(algebra, name, None)
                     if method is None:
-                        raise UnsupportedOperation(
-                            f"the operation `{name.rstrip('_')}` has no meaning in {type(algebra).__name__}"
-                        )
+                        where = getattr(algebra, "title", type(algebra).__name__)
+                        raise UnsupportedOperation(f"the operation `{name.rstrip('_')}` has no meaning in {where}")
                     values.append(method(*(values[o] for o in operands)))
             for position in spent:
                 values[position] = None

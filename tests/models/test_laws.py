@@ -31,7 +31,7 @@ def test_single_numbers_take_the_size_of_the_system():
 
 
 def test_arrays_are_gains_too():
-    law = PotentialCompensation(np.array([1.5, 2]), 1, np.eye(2), [[2, 1], [1, 2]]).resolve(2)
+    law = PotentialCompensation(np.array([1.5, 2]), np.array(1), np.eye(2), [[2, 1], [1, 2]]).resolve(2)
     assert law.alpha == (Fraction(3, 2), 2)
     assert law.K_c == ((1, 0), (0, 1))
 
