@@ -215,8 +215,8 @@ def natural_damping(derivation: Derivation, terms: Writing) -> Witness:
     bounds, eta = derivation.bounds, derivation.eta
     if bounds is None or eta is None or bounds.Lambda_l is None or bounds.Lambda_c is None:
         return None
-    values = [*bounds.Lambda_l, *bounds.Lambda_c]
-    found = _squares(_beyond(derivation, eta, diagonal(values)), terms)
+    values = diagonal([*bounds.Lambda_l, *bounds.Lambda_c])
+    found = _squares(_beyond(derivation, eta, values) or _beyond_varying(derivation, eta, values), terms)
     lambdas = {"Lambda_l": [str(v) for v in bounds.Lambda_l], "Lambda_c": [str(v) for v in bounds.Lambda_c]}
     return lambdas | (found or {})
 
@@ -259,6 +259,27 @@ def _beyond(derivation: Derivation, eta: ca.SX | None, Lambda: RealMatrix) -> li
     squares = decompose_matrix([[number(v) for v in row] for row in constant])
     excess = decompose_matrix([[lift.dissipation[i][j] - number(split[0][i][j]) for j in size] for i in size])
     return None if squares is None or excess is None else lift.apply([*squares, *excess])
+
+
+def _beyond_varying(derivation: Derivation, eta: ca.SX, Lambda: RealMatrix) -> list[Square] | None:
+    """The same where it varies with the state, on the domain that `assumption-3` is stated on."""
+    plant, structure, gamma, bounds = derivation.plant, derivation.structure, derivation.gamma, derivation.bounds
+    if structure is None or gamma is None or bounds is None:
+        return None
+    lift = _Lift.of(plant, structure, gamma)
+    slopes = ca.jacobian(ca.vertcat(eta, gamma), plant.system.x)
+    field, (matrix, rows) = plant.exact(
+        structure.dissipation(), ca.mtimes(slopes, structure.matrix) if structure.form == "F" else slopes
+    )
+    zero = field.const(0)
+    left, signals = matrix.dense(zero), rows.dense(zero)
+    for k, row in enumerate(signals):
+        weight = field.const(midpoint(Lambda[k][k]))
+        left = [[v - weight * a * b for v, b in zip(line, row, strict=True)] for line, a in zip(left, row, strict=True)]
+    region = Region.stated(plant)
+    leaf = Boxes(plant, region) if bounds.claim.domain == region.text and not region.is_whole else None
+    squares = decompose_matrix(left, leaf) if lift.matched else None
+    return None if squares is None else lift.apply(squares)
 
 
 def _squares(squares: Sequence[Square] | None, terms: Writing) -> Witness:

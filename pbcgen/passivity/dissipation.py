@@ -19,7 +19,9 @@ from flint import fmpq
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.gains import Matrix
 from pbcgen.models.laws import NaturalDamping
+from pbcgen.passivity.damping_bounds import bounds_on, tightened
 from pbcgen.passivity.damping_search import Port
+from pbcgen.passivity.passive_output import gives_output
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.region import Region
 from pbcgen.passivity.shaping import congruence, diagonal, exact_matrix, multiply, transpose
@@ -81,10 +83,12 @@ def assumption_3(
         storage_proved: whether Assumption 1 is proved.
         region: where a state without damping counts; the whole space if not given.
     """
+    where = region or Region.whole(plant)
     bounds = _bounds(plant, structure, gamma, matched, storage_proved)
+    if structure is not None and storage_proved and bounds.claim.status is not Status.PROVED:
+        bounds = _varying_bounds(plant, structure, gamma, where) or bounds
     if bounds.claim.status is not Status.UNDECIDED:
         return bounds
-    where = region or Region.whole(plant)
     found = Port.of(plant, where, gamma, bounds.eta).undamped(never_negative=storage_proved)
     if found is None:
         return bounds
@@ -134,17 +138,44 @@ def _bounds(
         return NaturalDampingBounds(None, (), None, None, _no_damped_coordinate(plant))
     signal_rows = [rows.signals[k] or [] for k in chosen]
     W = _compliance(rows.B0, [*signal_rows, *rows.y])
-    bounds = [_row_sum_inverse(row) for row in W]
+    bounds = [fmpq(1) / v for v in tightened(W, [_row_sum(row) for row in W])]
     s = len(chosen)
     eta = ca.vertcat(*[candidates[k] for k in chosen])
     eta_names = tuple(names[k] for k in chosen)
-    evidence = (
-        f"eta = ({', '.join(eta_names)}), Lambda_l = diag({', '.join(text(v, 6) for v in bounds[:s])}), "
-        f"Lambda_c = diag({', '.join(text(v, 6) for v in bounds[s:])})"
-    )
-    claim = Claim("assumption-3", Status.PROVED, "all x", "exact compliance of the dissipation", evidence)
+    claim = _with_constants("all x", "exact compliance of the dissipation", eta_names, bounds)
     separate = all(v == 0 for i, row in enumerate(W) for j, v in enumerate(row) if i != j)
     return NaturalDampingBounds(eta, eta_names, tuple(bounds[:s]), tuple(bounds[s:]), claim, rows.complete and separate)
+
+
+def _varying_bounds(
+    plant: Plant, structure: PowerStructure, gamma: ca.SX, stated: Region
+) -> NaturalDampingBounds | None:
+    """Constants for a dissipation that varies: on the whole space, else on the stated box."""
+    if not gives_output(plant, structure, ca.jacobian(gamma, plant.system.x).T):
+        return None
+    candidates, names = _candidates(plant, gamma)
+    whole = Region.whole(plant)
+    for region in (whole,) if stated.is_whole else (whole, stated):
+        found = bounds_on(plant, structure, gamma, candidates, region, plant.system.eta is not None)
+        if found is None:
+            continue
+        eta = ca.vertcat(*[candidates[k] for k in found.chosen])
+        eta_names = tuple(names[k] for k in found.chosen)
+        claim = _with_constants(
+            region.text, "Loewner order, by elimination with exact functions", eta_names, found.Lambda
+        )
+        s = len(found.chosen)
+        return NaturalDampingBounds(eta, eta_names, found.Lambda[:s], found.Lambda[s:], claim)
+    return None
+
+
+def _with_constants(domain: str, method: str, eta_names: Sequence[str], Lambda: Sequence[Real]) -> Claim:
+    s = len(eta_names)
+    evidence = (
+        f"eta = ({', '.join(eta_names)}), Lambda_l = diag({', '.join(text(v, 6) for v in Lambda[:s])}), "
+        f"Lambda_c = diag({', '.join(text(v, 6) for v in Lambda[s:])})"
+    )
+    return Claim("assumption-3", Status.PROVED, domain, method, evidence)
 
 
 def _given(plant: Plant) -> ca.SX | None:
@@ -279,12 +310,12 @@ def port_damping(plant: Plant, structure: PowerStructure, gamma: ca.SX, eta: ca.
     return inverse(_compliance(rows.B0, stacked))
 
 
-def _row_sum_inverse(row: Sequence[Real]) -> Real:
+def _row_sum(row: Sequence[Real]) -> Real:
     """The diagonal entry that dominates a row of W: exact when W is diagonal."""
     total: Real = ZERO
     for entry in row:
         total = total + abs(entry)
-    return fmpq(1) / total
+    return total
 
 
 def _undecided(why: str) -> Claim:
@@ -363,7 +394,8 @@ def theta(bounds: NaturalDampingBounds, law: NaturalDamping, port: Port | None =
     given = ", ".join(f"{float(p):.6g}" for p in product)
     evidence = f"K_l R_l = {given}; sufficient and, for these Lambda, necessary: {smallest:.6g}"
     if verdict.status is Status.PROVED:
-        claim = Claim("theta", Status.PROVED, "all x", "Schur complement over the rationals", evidence)
+        domain = bounds.claim.domain
+        claim = Claim("theta", Status.PROVED, domain, "Schur complement over the rationals", evidence)
     elif not bounds.tight and port is not None and port.theta_negative(law.Upsilon, product) is None:
         evidence += "; other Lambda may do: no state was found at which the dissipation is too weak"
         hint = f"raise K_l R_l to {smallest:.6g}"

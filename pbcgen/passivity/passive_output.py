@@ -317,7 +317,7 @@ def prove(
     if not storage_proved:
         return None
     psi = ca.jacobian(gamma, system.x).T
-    if structure_proved and structure is not None and _matched(plant, structure, psi):
+    if structure_proved and structure is not None and gives_output(plant, structure, psi):
         return f"structure: grad gamma = {'-F^-1 g' if structure.form == 'F' else '-A g'}"
     try:
         field, (p, g, f, e) = plant.exact(psi, system.g, system.f, plant.gradient)
@@ -343,7 +343,7 @@ def _by_squares(plant: Plant, gamma: ca.SX, region: Region) -> str | None:
     return f"Z(x) is a matrix sum of squares, checked exactly; sizes of the matrices {found}" if found else None
 
 
-def _matched(plant: Plant, structure: PowerStructure, psi: ca.SX) -> bool:
+def gives_output(plant: Plant, structure: PowerStructure, psi: ca.SX) -> bool:
     """``F grad gamma = -g`` and ``rho^T grad gamma = 0`` (or grad gamma = -A g): then Z is a quadratic form of B."""
     try:
         field, (p, g, matrix, rho) = plant.exact(psi, plant.system.g, structure.matrix, structure.remainder)
