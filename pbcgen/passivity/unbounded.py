@@ -143,9 +143,11 @@ def _by_terms(
     grown = _on_kernel(form, linear, gammas, alpha, force)
     if grown.proved or all(affine):
         return grown
-    return _in_coordinates(
-        plant, gamma, (form, linear), energy, [a - abs(k) for a, k in zip(map(rational, alpha), force, strict=True)]
-    )
+    room = [a - abs(k) for a, k in zip(map(rational, alpha), force, strict=True)]
+    outgrowing = [g for g, left in zip(gammas, room, strict=True) if sign(left) not in (0, 1)]
+    if any(_dot(g, v) != 0 for g in outgrowing for v in _kernel(form)):
+        return grown
+    return _in_coordinates(plant, gamma, (form, linear), energy, room)
 
 
 def _in_coordinates(

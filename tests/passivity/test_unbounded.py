@@ -70,6 +70,15 @@ def test_a_storage_that_may_not_grow_is_not_proved(name):
     assert not _grows(*FLAT[name])
 
 
+@pytest.mark.parametrize(("first", "proved"), [("6", True), ("1", False)])
+def test_an_affine_gamma_that_kappa_outgrows_is_not_made_up_for_by_another(first, proved):
+    """On y = 0 there is ``alpha_1 |x| - 5 x`` and a second gamma that grows a thousand times slower."""
+    plant = Plant(AffineSystem([x, y], [u, ca.SX.sym("v")], [-x, -y], [[1, 0], [0, 1]], y**2))
+    gamma = ca.vertcat(x, x / 1000 + ca.sin(x) / 10000)
+    grown = radially_unbounded(plant, gamma, [Fraction(first), Fraction(3)], [fmpq(5), fmpq(0)], False)
+    assert grown.proved == proved
+
+
 def _circuit(**changes):
     i, v = ca.SX.sym("i"), ca.SX.sym("v")
     parts = {"v_R": [2 * i], "i_G": [v + ca.tanh(v)], "Gamma": [[1]], **changes}
