@@ -5,12 +5,14 @@ Where f = 0 and the dissipation vanishes to second order in the directions d, Z(
     d^T (df/dx)^T grad gamma_i = d^T grad (g_i^T grad S),   and  g_i^T grad S = 0.
 
 On a set of such equilibria x_V = 0 these linear equations may have no solution, or may determine the gradient of gamma
-along the set, which then needs a symmetric Jacobian there; :mod:`pbcgen.passivity.jets` adds second derivatives. All
-is decided exactly, and the witness, a state inside the domain, is checked in balls.
+along the set, which then needs a symmetric Jacobian there; :mod:`pbcgen.passivity.jets` adds second derivatives, and
+:mod:`pbcgen.passivity.prolongation` all states where nothing is lost, and all inputs together. All is decided exactly,
+and the witness, a state inside the domain, is checked in balls.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -21,6 +23,7 @@ from pbcgen.passivity.construction import WEIGHTS, general_position
 from pbcgen.passivity.jets import equations as jet_equations
 from pbcgen.passivity.jets import jets_at, multipliers
 from pbcgen.passivity.plant import Plant, dot
+from pbcgen.passivity.prolongation import contradiction
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Row, reduce_rows
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, is_finite, precision, rational, sign, text
@@ -36,12 +39,13 @@ class Obstruction:
 
     Attributes:
         reason: in words and formulas.
-        point: an equilibrium of f at which it shows, by state.
+        point: where it shows, by state.
         value: the quantity that ought to be zero, there.
         input: the position of the input whose gamma does not exist.
         zero: the states that are zero on the set of equilibria.
         directions: directions d on the set, each with j where ``df/dx d`` is unit vector j, or None if it is zero.
         by_jets: whether second derivatives of gamma are needed to show it; the directions do not then.
+        along_losses: whether the point is one where nothing is lost, and f need not rest there.
     """
 
     reason: str
@@ -51,9 +55,10 @@ class Obstruction:
     zero: tuple[int, ...] = ()
     directions: tuple[tuple[int | None, tuple[Quotient, ...]], ...] = ()
     by_jets: bool = False
+    along_losses: bool = False
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Set:
     """A set of equilibria: the states that are zero on it, and those that are free."""
 
@@ -85,15 +90,14 @@ def obstruction(plant: Plant) -> Obstruction | None:
         return None
     try:
         places = _equilibria(plant)
-        if places is None:
-            return None
-        for i in range(plant.system.m):
+        for i in range(plant.system.m if places is not None else 0):
+            assert places is not None
             found = _for_input(plant, places, i)
             if found is not None:
                 return replace(found, input=i, zero=places.zero)
+        return _by_prolongation(plant)
     except (UnsupportedOperation, ZeroDivisionError):
         return None
-    return None
 
 
 def _equilibria(plant: Plant) -> _Set | None:
@@ -231,13 +235,64 @@ def _by_jets(plant: Plant, places: _Set, directions: list[list[Quotient]], i: in
     return None if found is None else replace(found, by_jets=True)
 
 
+def _by_prolongation(plant: Plant) -> Obstruction | None:
+    """All states where nothing is lost, and all inputs together."""
+    system = plant.system
+    if system.n > _LARGEST_JETS:
+        return None
+    loss, natural = -ca.dot(plant.gradient, system.f), ca.mtimes(system.g.T, plant.gradient)
+    sets = dict.fromkeys([_lossless(plant, loss), _lossless(plant, ca.vertcat(loss, natural))])
+    return next((found for places in sets if places and (found := _on_set(plant, loss, places))), None)
+
+
+def _on_set(plant: Plant, loss: ca.SX, places: _Set) -> Obstruction | None:
+    system, x = plant.system, plant.system.x
+    known = {system.state_names[k]: Fraction(0) for k in places.zero}
+    field, (hessian,) = plant.exact(ca.hessian(loss, x)[0], known=known)
+    directions = _kernel(field, hessian.dense(field.const(0)))
+    kernel = [ca.vertcat(*[plant.expression(entry) for entry in d]) for d in directions]
+    found = contradiction(plant, places.zero, places.free, kernel)
+    if found is None:
+        return None
+    inverse = [1 / divisor for divisor in found.divisors]
+    reason = (
+        "along states where nothing is lost, Z(x) >= 0 gives equations for the first and second derivatives of gamma "
+        "that contradict each other"
+    )
+    finite = [*(entry for d in kernel for entry in ca.vertsplit(d)), *inverse]
+    shown = _witness(plant, places, found.value, finite, reason)
+    return None if shown is None else replace(shown, zero=places.zero, by_jets=True, along_losses=True)
+
+
+def _lossless(plant: Plant, functions: ca.SX) -> _Set | None:
+    """Coordinates that are zero on a set where functions vanish, as few as possible; None where that is a point."""
+    names, domain = plant.system.state_names, plant.system.domain
+
+    def vanishes(free: list[int]) -> bool:
+        known = {name: Fraction(0) for k, name in enumerate(names) if k not in free}
+        try:
+            field, (values,) = plant.exact(functions, known=known)
+        except (UnsupportedOperation, ZeroDivisionError):
+            return False
+        return all(value.is_zero() for value in values.column(field.const(0)))
+
+    free: list[int] = []
+    for k in range(plant.system.n):
+        if vanishes([*free, k]):
+            free.append(k)
+    zero = tuple(k for k in range(plant.system.n) if k not in free)
+    if not free or not all(_surrounds(domain.get(names[k], (None, None))) for k in zero):
+        return None
+    return _Set(zero, tuple(free))
+
+
 def _witness(
-    plant: Plant, places: _Set, value: Quotient | ca.SX, finite: list[Quotient], reason: str
+    plant: Plant, places: _Set, value: Quotient | ca.SX, finite: Sequence[Quotient | ca.SX], reason: str
 ) -> Obstruction | None:
     """A rational point of the set at which ``value`` is certainly not zero and ``finite`` are defined, in balls."""
     system = plant.system
     expressions = [value if isinstance(value, ca.SX) else plant.expression(value)]
-    conditions = [plant.expression(w) for w in finite if w.constant() is None]
+    conditions = [w if isinstance(w, ca.SX) else plant.expression(w) for w in finite]
     tape = Tape.of(plant.symbols, [*expressions, ca.vertcat(ca.SX(0, 1), *conditions)])
     parameters = [rational(v) for v in plant.parameter_values]
     for shift in range(len(WEIGHTS)):

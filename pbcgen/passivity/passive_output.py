@@ -236,10 +236,12 @@ def find(
             unproved.append(candidate)
     except (UnsupportedOperation, ZeroDivisionError) as reason:
         tried.append(str(reason))
-    if unproved:
+    searched = plant.system.gamma is None and (storage_proved or not unproved)
+    impossible = _impossible(plant, obstruction(plant)) if searched else None
+    if unproved and impossible is None:
         claim = _refuted_gamma(plant, unproved[0], where) or _unproved(unproved[0], storage_proved, where)
         return PassiveOutput(unproved[0].gamma, unproved[0].strategy, claim, False)
-    return _impossible(plant, obstruction(plant)) or _none(plant, tried, obstacles, _forced(plant, point))
+    return impossible or _none(plant, tried, obstacles, _forced(plant, point))
 
 
 def _is_constant(plant: Plant, gamma: ca.SX) -> bool:
@@ -432,13 +434,14 @@ def _hint(candidate: _Candidate, storage_proved: bool) -> str:
 
 def _impossible(plant: Plant, found: Obstruction | None) -> Claim | None:
     """The verdict when it is proved that no gamma exists."""
-    if found is None or plant.system.gamma is not None:
+    if found is None:
         return None
+    place = "nothing is lost" if found.along_losses else "f = 0"
     return Claim(
         "passive-output",
         Status.REFUTED,
         "all x",
-        "necessary conditions where f = 0, exactly; witness in ball arithmetic",
+        f"necessary conditions where {place}, exactly; witness in ball arithmetic",
         found.reason,
         "choose another storage or input; no gamma fits this one, whatever w",
         {"x": found.point, "value": found.value},

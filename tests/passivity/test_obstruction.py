@@ -9,7 +9,7 @@ import pytest
 
 from pbcgen import AffineSystem, Mechanical
 from pbcgen.passivity.obstruction import obstruction
-from pbcgen.passivity.passive_output import PassiveOutput, find
+from pbcgen.passivity.passive_output import PassiveOutput, find, prove
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.storage import assumption_1
 from pbcgen.proof.claim import Claim, Status
@@ -106,3 +106,48 @@ def _with_gamma(seed: int) -> Plant:
 @pytest.mark.parametrize("seed", range(24))
 def test_a_system_with_a_gamma_has_no_obstruction_in_any_coordinates(seed):
     assert obstruction(_with_gamma(seed)) is None
+
+
+def _car(V, D=(1, 2), inputs=2, domain=None) -> Plant:
+    """A car that rolls but does not slip, driven and turned; V(x, y) are springs at its middle."""
+    x, y, angle, v, w = states = _symbols("x y angle v w")
+    c, s = ca.cos(angle), ca.sin(angle)
+    energy = ca.SX(V(x, y))
+    pull, twist = c * ca.jacobian(energy, x) + s * ca.jacobian(energy, y), ca.jacobian(energy, angle)
+    f = [v * c, v * s, w, -pull - D[0] * v, -twist - D[1] * w]
+    g = [[0, 0]] * 3 + [[1, 0], [0, 1]]
+    u = _symbols("u1 u2")[:inputs]
+    return Plant(AffineSystem(states, u, f, [row[:inputs] for row in g], energy + (v**2 + w**2) / 2, domain=domain))
+
+
+@pytest.mark.parametrize(
+    ("V", "D"),
+    [
+        (lambda x, y: (x**2 + y**2) / 2, (1, 2)),
+        (lambda x, y: x**2 / 2 + y**4 / 4, (1, 2)),
+        (lambda x, y: 1 - ca.cos(x), ("0.5", 1)),
+        (lambda x, y: (x**2 + y**2) / 2, (0, 0)),
+    ],
+)
+def test_a_car_with_springs_has_no_output_although_it_has_friction(V, D):
+    claim = _output(_car(V, [float(d) for d in D]))
+    assert claim.status is Status.REFUTED
+    assert "nothing is lost" in claim.evidence
+    assert claim.counterexample is not None
+
+
+def test_a_car_without_springs_has_an_output_by_its_friction():
+    """gamma = (v / d1, w / d2): ``u^T gamma' - S' = |u / sqrt(d) - sqrt(d) v|^2``."""
+    plant = _car(lambda x, y: 0)
+    v, w = plant.system.x[3], plant.system.x[4]
+    assert obstruction(plant) is None
+    assert prove(plant, None, ca.vertcat(v, w / 2), True, False) is not None
+
+
+def test_a_car_with_springs_outside_its_domain_is_left_open():
+    assert obstruction(_car(lambda x, y: (x**2 + y**2) / 2, domain={"v": (1, 2)})) is None
+
+
+def test_a_car_that_is_driven_only_is_left_open():
+    """The equations for one input do not contradict each other."""
+    assert obstruction(_car(lambda x, y: (x**2 + y**2) / 2, inputs=1)) is None
