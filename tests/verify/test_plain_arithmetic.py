@@ -109,6 +109,17 @@ def test_numbers_are_read_exactly(text):
     assert Fraction(int(number.p), int(number.q)) == Fraction(text)
 
 
+@pytest.mark.parametrize(
+    ("name", "argument", "expected"), [("sqrt", "9/4", "3/2"), ("sqrt", "0", "0"), ("log", "1", "0"), ("exp", "0", "1")]
+)
+def test_a_rational_value_is_exact_as_it_is_for_the_prover(name, argument, expected):
+    """An equation at x* with sqrt(1) in it holds exactly, and not only within a ball."""
+    found = apply(name, rational(argument))
+    assert isinstance(found, fmpq)
+    assert found == rational(expected) == getattr(REAL, name)(exact(Fraction(argument)))
+    assert isinstance(apply("sqrt", fmpq(2)), arb)
+
+
 def test_what_has_no_exact_meaning_is_named():
     with pytest.raises(NotCheckable, match="fabs"):
         value(formulas_of(ca.fabs(x)), [fmpq(1), fmpq(1)])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from math import prod
 from typing import Any
 
-from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx
+from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx, fmpz
 
 ODD = {"tanh", "atan", "asinh", "erf", "asin", "atanh"}
 #: Functions that increase, and that are nowhere negative, where they are defined.
@@ -91,7 +91,20 @@ def apply(name: str, *values: Any) -> Any:
     (a,) = values
     if isinstance(a, Value):
         return a.function(name)
-    return fmpq(AT_ZERO[name]) if a == 0 and isinstance(a, fmpq) and name in AT_ZERO else getattr(arb, name)(arb(a))
+    known = _known(name, a) if isinstance(a, fmpq) else None
+    return getattr(arb, name)(arb(a)) if known is None else known
+
+
+def _known(name: str, a: fmpq) -> fmpq | None:
+    """The value of a function at a rational where that is known to be rational too."""
+    if a == 0 and name in AT_ZERO:
+        return fmpq(AT_ZERO[name])
+    if name == "log" and a == 1:
+        return fmpq(0)
+    if name == "sqrt" and a > 0:
+        root = fmpq(fmpz(a.p).isqrt(), fmpz(a.q).isqrt())
+        return root if root * root == a else None
+    return None
 
 
 def power(a: Any, b: Any) -> Any:
