@@ -66,7 +66,8 @@ def show_report(console: Console, report: Report, model: str, wide: Sequence[Cla
 
 def _show_for_all_parameters(console: Console, report: Report, claims: Sequence[Claim]) -> None:
     """Print what was decided for all positive values of the parameters."""
-    names = ", ".join(report.design.system.parameters.names)
+    parameters = report.design.system.parameters
+    names = ", ".join(name for name in parameters.names if name not in parameters.numbers)
     console.print(f"for all positive {names}; gains and target as they are", style="bold")
     console.print()
     console.print(verdict_table(report, claims))

@@ -128,19 +128,20 @@ class _Chain:
 
     def _eliminate(self, values: dict[int, Quotient], left: set[int]) -> tuple[int, int] | None:
         """Use a function that is affine in a variable for it; a variable that is affine everywhere is preferred."""
+        count = len(self.variables) + len(self.held)
         choices = [
             (i, k, rest)
             for i, value in values.items()
             if value.is_polynomial()
             for k in sorted(value.symbols() & left)
-            for rest in [linear_in(value, k)]
+            for rest in [linear_in(value, k, count)]
             if rest is not None
         ]
         if not choices:
             return None
 
         def curved(k: int) -> int:
-            return sum(k in v.symbols() and linear_in(v, k) is None for v in values.values())
+            return sum(k in v.symbols() and linear_in(v, k, count) is None for v in values.values())
 
         i, k, rest = min(choices, key=lambda choice: (curved(choice[1]), len(choice[2].numerator), choice[:2]))
         value = self.to_sx(rest)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from flint import fmpq, fmpq_mpoly
+from flint import fmpq
 
 from pbcgen.proof.nonnegative import nonnegative, positive
 from pbcgen.symbolic.display import formula
@@ -67,26 +67,30 @@ def never_zero(element: Quotient) -> bool:
     return positive(element) or positive(-element)
 
 
-def linear_in(element: Quotient, k: int) -> Quotient | None:
-    """The rest of ``element = c (v_k + rest)`` with v_k nowhere else and a constant c, or None."""
+def linear_in(element: Quotient, k: int, variables: int | None = None) -> Quotient | None:
+    """The rest of ``element = c (v_k + rest)`` with v_k nowhere else and c never zero, or None.
+
+    c is a number, or a function of the symbols after the first ``variables`` where these are parameters.
+    """
     field_ = element.field
-    coefficient = fmpq(0)
-    rest: dict[tuple[int, ...], fmpq] = {}
+    slope: dict[Exponents, fmpq] = {}
+    rest: dict[Exponents, fmpq] = {}
     inside = {a for a, atom in field_.atoms.items() if k in atom.argument.symbols()}
-    for exponents, value in element.numerator.to_dict().items():
-        power = int(exponents[k])
-        if any(exponents[a] for a in inside):
+    for raw, value in element.numerator.to_dict().items():
+        exponents = tuple(map(int, raw))
+        if exponents[k] > 1 or any(exponents[a] for a in inside):
             return None
-        if power == 0:
-            rest[tuple(exponents)] = value
-        elif power == 1 and sum(exponents) == 1:
-            coefficient = value
+        if exponents[k]:
+            slope[(*exponents[:k], 0, *exponents[k + 1 :])] = value
         else:
-            return None
-    if coefficient == 0:
+            rest[exponents] = value
+    coefficient = field_.polynomial(field_.context.from_dict(slope))
+    known = coefficient.constant()
+    if known is not None:
+        return None if known == 0 else field_.polynomial(field_.context.from_dict(rest) / known)
+    if variables is None or any(j < variables for j in coefficient.symbols()) or not never_zero(coefficient):
         return None
-    polynomial: fmpq_mpoly = field_.context.from_dict(rest)
-    return field_.polynomial(polynomial / coefficient)
+    return field_.polynomial(field_.context.from_dict(rest)) / coefficient
 
 
 def affine(value: Quotient, count: int) -> Row | None:

@@ -200,7 +200,7 @@ class _Elimination:
     def _solve(self, factor: Quotient) -> bool:
         """Eliminate a variable from ``factor = 0``."""
         for k in self._order(factor):
-            rest = linear_in(factor, k)
+            rest = linear_in(factor, k, len(self.symbols))
             if rest is None:
                 continue
             value = self.to_sx(-rest)

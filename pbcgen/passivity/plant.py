@@ -103,8 +103,8 @@ class Plant:
         return self._constants[value]
 
     def symbolic(self, system: AffineSystem) -> SymbolicPlant:
-        """Another system, whose parameters stay symbols; the constants made by :meth:`number` are shared."""
-        return SymbolicPlant(system, self._constants)
+        """Another system, whose parameters stay symbols; it knows the constants made by :meth:`number` so far."""
+        return SymbolicPlant(system, dict(self._constants))
 
     def expression(self, element: Quotient) -> ca.SX:
         """An exact function of this plant's symbols as an SX expression."""
@@ -159,8 +159,18 @@ class SymbolicPlant(Plant):
 
     @property
     def values(self) -> Mapping[str, Fraction]:
-        """The exact values of the constants made by :meth:`number`."""
-        return {_constant_name(value): value for value in self._constants}
+        """The exact values of the numbers in the model's expressions and of the constants made by :meth:`number`."""
+        parameters = self.system.parameters
+        own = {name: parameters.values[name] for name in sorted(parameters.numbers)}
+        return {**own, **{_constant_name(value): value for value in self._constants}}
+
+    def number(self, value: Fraction) -> ca.SX:
+        """An exact number: a symbol, so that CasADi computes no sums, sines or roots of it in doubles."""
+        if value == 0:
+            return ca.SX(0)
+        if value not in self._constants:
+            self._constants[value] = ca.SX.sym(_constant_name(value))
+        return self._constants[value]
 
 
 def _constant_name(value: Fraction) -> str:

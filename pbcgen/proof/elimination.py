@@ -101,3 +101,25 @@ def _definite(rows: dict[int, dict[int, Quotient]], prover: Prover) -> bool:
             return False
         _eliminate(rows, pivot)
     return True
+
+
+def positivity_conditions(matrix: Sequence[Sequence[Quotient]], prover: Prover | None = None) -> list[Quotient]:
+    """Functions that are all positive just where the symmetric matrix is positive definite: none if that is proved.
+
+    Pivots that are proved positive are taken first; those that are left are the conditions (Sylvester). One that is
+    the zero function says that the matrix is nowhere definite. Raises TooLarge.
+    """
+    prover = prover or Everywhere()
+    rows = _as_rows(matrix)
+    zero = matrix[0][0].field.const(0)
+    left = []
+    while rows:
+        sure = next((k for k in _by_cost(rows) if prover.positive(rows[k][k])), None)
+        pivot = next(iter(rows)) if sure is None else sure
+        head = rows[pivot].get(pivot, zero)
+        if sure is None:
+            left.append(head)
+        if head.is_zero():
+            break
+        _eliminate(rows, pivot)
+    return left

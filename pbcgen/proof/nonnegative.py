@@ -8,7 +8,7 @@ never necessary: failure says nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Protocol
@@ -18,6 +18,7 @@ from flint import fmpq, fmpq_mpoly
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import positive_semidefinite
 from pbcgen.proof.known import POSITIVE_KINDS, SECTOR_KINDS, Exponents, Known, without_content
+from pbcgen.proof.number_atoms import below
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO
@@ -86,7 +87,10 @@ def nonnegative(function: Quotient, positive_symbols: frozenset[int] = frozenset
     product_form = function.numerator * function.denominator
     if function.is_polynomial() or _certain(field, function.denominator, known):
         product_form = function.numerator
-    return _certain(field, product_form, known)
+    if _certain(field, product_form, known):
+        return True
+    smaller = below(field, product_form, known)
+    return smaller is not None and _certain(field, smaller, known)
 
 
 def positive(function: Quotient, positive_symbols: frozenset[int] = frozenset()) -> bool:
@@ -96,21 +100,27 @@ def positive(function: Quotient, positive_symbols: frozenset[int] = frozenset())
         return bool(constant > 0)
     field = function.field
     known = Known.of(field, positive_symbols)
-    if function.is_polynomial():
-        return _strictly(field, function.numerator, known)
-    if _strictly(field, function.denominator, known):
-        return _strictly(field, function.numerator, known)
-    return _strictly(field, function.numerator * function.denominator, known)
+    if function.is_polynomial() or _certainly_positive(field, function.denominator, known):
+        return _certainly_positive(field, function.numerator, known)
+    return _certainly_positive(field, function.numerator * function.denominator, known)
+
+
+def _certainly_positive(field: Field, polynomial: fmpq_mpoly, known: Known) -> bool:
+    if _strictly(field, polynomial, known):
+        return True
+    smaller = below(field, polynomial, known)
+    return smaller is not None and _strictly(field, smaller, known)
 
 
 def _strictly(field: Field, polynomial: fmpq_mpoly, known: Known) -> bool:
     """Whether the polynomial is positive everywhere."""
+    if _plain(polynomial, known) and any(_strict_term(field, e, known) for e in polynomial.to_dict()):
+        return True
     if known.spots.shows_negative(polynomial):
         return False
     for form in trigonometric_forms(field, polynomial):
         for exponents, coefficient in form.to_dict().items():
-            strict = all(e == 0 or (k in known.positive and _strict(field, k)) for k, e in enumerate(exponents))
-            if coefficient > 0 and strict:
+            if coefficient > 0 and _strict_term(field, exponents, known):
                 rest = form - field.context.from_dict({exponents: coefficient / 2})
                 if _certain(field, rest, known):
                     return True
@@ -118,8 +128,20 @@ def _strictly(field: Field, polynomial: fmpq_mpoly, known: Known) -> bool:
     return vertices is not None and all(_strictly(field, vertex, known) for vertex in vertices)
 
 
-def _strict(field: Field, k: int) -> bool:
-    return k < field.symbol_count or field.atoms[k].kind in POSITIVE_KINDS
+def _strict_term(field: Field, exponents: Exponents, known: Known) -> bool:
+    """Whether a product of powers is positive everywhere."""
+    return all(
+        e == 0 or (k in known.positive and (k < field.symbol_count or field.atoms[k].kind in POSITIVE_KINDS))
+        for k, e in enumerate(exponents)
+    )
+
+
+def _plain(polynomial: fmpq_mpoly, known: Known) -> bool:
+    """Whether every term is nonnegative by itself."""
+    return all(
+        coefficient > 0 and all(e % 2 == 0 or k in known.positive for k, e in enumerate(exponents))
+        for exponents, coefficient in polynomial.to_dict().items()
+    )
 
 
 def trigonometric_forms(field: Field, polynomial: fmpq_mpoly) -> list[fmpq_mpoly]:
@@ -154,6 +176,8 @@ def _swap_squares(field: Field, polynomial: fmpq_mpoly, cosine: int, sine: int) 
 
 def _certain(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int = _DEPTH) -> bool:
     """Whether the polynomial in symbols and atoms is proved nonnegative."""
+    if _plain(polynomial, known):
+        return True
     if known.spots.shows_negative(polynomial):
         return False
     if polynomial.is_zero() or any(
@@ -317,8 +341,13 @@ def _by_factors(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) 
 
 
 def _nonnegative_form(field: Field, polynomial: fmpq_mpoly, known: Known) -> bool:
-    """Terms of known sign first; then, for each power of the positive generators, a quadratic form in monomials."""
+    """Terms of known sign first; then, for each power of the positive generators, a quadratic form in monomials.
+
+    A negative term joins the form of its own powers, or one where it stands between two squares: c^2 - c e + e^2 needs
+    no sign of c and e.
+    """
     groups: dict[Exponents, dict[Exponents, fmpq]] = {}
+    negative: list[tuple[Exponents, fmpq]] = []
     for raw, coefficient in polynomial.to_dict().items():
         exponents = without_sector_pairs(tuple(int(e) for e in raw), known)
         outside = tuple(e % 2 if k in known.positive else 0 for k, e in enumerate(exponents))
@@ -327,9 +356,29 @@ def _nonnegative_form(field: Field, polynomial: fmpq_mpoly, known: Known) -> boo
             continue
         if exponents != tuple(int(e) for e in raw):
             return False
+        if coefficient < 0 and any(outside):
+            negative.append((exponents, coefficient))
+            continue
         group = groups.setdefault(outside, {})
         group[inside] = group.get(inside, fmpq(0)) + coefficient
+    for exponents, coefficient in negative:
+        own = tuple(e % 2 if k in known.positive else 0 for k, e in enumerate(exponents))
+        outside = next((g for g in (own, *groups) if g in groups and _fits(_less(exponents, g), groups[g])), own)
+        group, inside = groups.setdefault(outside, {}), _less(exponents, outside)
+        group[inside] = group.get(inside, fmpq(0)) + coefficient
     return all(_sum_of_squares(terms) for terms in groups.values())
+
+
+def _less(exponents: Exponents, outside: Exponents) -> Exponents:
+    return tuple(e - o for e, o in zip(exponents, outside, strict=True))
+
+
+def _fits(exponents: Exponents, terms: Mapping[Exponents, fmpq]) -> bool:
+    """Whether a monomial is one of the terms, or a product of two monomials whose squares are."""
+    if min(exponents) < 0:
+        return False
+    halves = {tuple(e // 2 for e in term) for term, c in terms.items() if c > 0 and all(e % 2 == 0 for e in term)}
+    return exponents in terms or any(_less(exponents, half) in halves for half in halves)
 
 
 def without_sector_pairs(exponents: Exponents, known: Known) -> Exponents:

@@ -25,7 +25,10 @@ from pbcgen import (
     load,
 )
 from pbcgen.cli import execute
-from pbcgen.control.all_parameters import _is_hurwitz, _Wide
+from pbcgen.control.all_parameters import _equilibrium
+from pbcgen.control.wide import Wide
+from pbcgen.control.wide_stability import Stability, routh_column
+from pbcgen.proof.nonnegative import positive
 from pbcgen.symbolic.field import Field
 from pbcgen.symbolic.real import approximate
 
@@ -130,8 +133,11 @@ def test_the_coupling_device_is_passive_for_all_resistors():
     for name in ("assumption-1", "passive-output", "hessian-condition", "kc-bound", "equilibrium"):
         assert claims[name].status == "PROVED"
     assert "R1 + R2" in claims["passive-output"].evidence
-    assert claims["stable"].status == "UNDECIDED"  # Theta depends on values
-    assert "theta" in claims["stable"].evidence
+    assert "Lambda_l = diag(a1), Lambda_c = diag(R1)" in claims["assumption-3"].evidence
+    assert claims["theta"].status == "REFUTED"
+    assert "K_l*R_l > (0.25*(a1 + R1))/(R1*a1)" in claims["theta"].evidence
+    assert claims["stable"].status == "UNDECIDED"
+    assert "proved where K_l*R_l > (0.25*(a1 + R1))/(R1*a1)" in claims["stable"].evidence
 
 
 def test_an_arm_of_positive_masses():
@@ -283,11 +289,12 @@ def test_a_verdict_agrees_with_every_sample_of_the_parameters(damping, stiffness
 def test_the_closed_loop_is_that_of_the_linearisation_at_the_values(name):
     report = check(FAMILIES[name]())
     situation = report.derivation.situation
-    wide = _Wide(report.derivation)
-    point, _ = wide.equilibrium()
-    matrix = ca.substitute(point.put_in(wide.closed_loop()), wide.s, ca.log(wide.p))
-    symbols = wide.given.parameter_symbols
-    values = [float(wide.given.values[n]) for n in wide.given.parameter_names]
+    wide = Wide(report.derivation)
+    point, _ = _equilibrium(wide)
+    matrix = ca.substitute(point.put_in(Stability.closed_loop(wide)), wide.s, ca.log(wide.p))
+    fixed = wide.plant.values
+    symbols = ca.vertcat(wide.p, wide.plant.parameter_symbols[-len(fixed) :])
+    values = [float(v) for v in (*wide.values.values(), *fixed.values())]
     found = np.array(ca.Function("A", [symbols], [ca.densify(matrix)])(values))
     expected = np.array([[approximate(v) for v in row] for row in situation.loop.continuous()])
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
@@ -299,7 +306,7 @@ def test_rouths_array_in_functions(damping, expected):
     field = Field(["a"], 4)
     d = {"exp": field.exp(field.symbol(0)), "symbol": field.symbol(0), "minus": -field.exp(field.symbol(0))}[damping]
     zero, one = field.const(0), field.const(1)
-    assert _is_hurwitz([[zero, one], [-one, -d]]) is expected
+    assert all(map(positive, routh_column([[zero, one], [-one, -d]]))) is expected
 
 
 # --- the command -------------------------------------------------------------------------------------------------
