@@ -16,10 +16,10 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.dissipation import NaturalDampingBounds, theta_is_strict
-from pbcgen.passivity.lasalle import Flow, InvariantSet, flow, invariant_set
+from pbcgen.passivity.lasalle import Flow, InvariantSet, flow, flow_by_balance, invariant_set
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.structure import PowerStructure
-from pbcgen.proof.claim import Claim
+from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.spectrum import Stability, hurwitz
 from pbcgen.symbolic.linear import Inconsistent
 from pbcgen.symbolic.real import Real, approximate, fraction
@@ -107,10 +107,21 @@ class Situation:
     @cached_property
     def flow(self) -> Flow | None:
         """What moves on the invariant set, or None when the Lyapunov function does not give one."""
-        if self.structure is None or isinstance(self.law, Integral) or not self._theta_strict():
+        if isinstance(self.law, Integral) or not self._theta_strict():
             return None
+        if self.structure is None:
+            return self._flow_by_balance()
         still = self.eta if isinstance(self.base, NaturalDamping) else None
         return flow(self.plant, self.structure, self.gamma, self.compensation, still)
+
+    def _flow_by_balance(self) -> Flow | None:
+        output = self.found.get("passive-output")
+        if output is None or output.status is not Status.PROVED or isinstance(self.base, NaturalDamping):
+            return None
+        try:
+            return flow_by_balance(self.plant, self.gamma, self.compensation)
+        except (UnsupportedOperation, ZeroDivisionError):
+            return None
 
     @cached_property
     def invariant(self) -> InvariantSet | None:

@@ -30,7 +30,9 @@ from pbcgen.passivity.equation import (
 )
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.structure import PowerStructure
+from pbcgen.proof.elimination import definite
 from pbcgen.proof.nonnegative import positive
+from pbcgen.proof.squares import decompose
 from pbcgen.symbolic.field import Field, Quotient, evaluate
 from pbcgen.symbolic.linear import CONSTANT, Row, reduce_rows
 from pbcgen.symbolic.tape import Tape
@@ -41,6 +43,8 @@ _ROUNDS = 3
 #: Equations beyond these sizes are given up: nonlinear ones grow with every Lie derivative.
 _LARGEST_TAPE = 1500
 _MOST_TERMS = 600
+#: A dissipation that varies is looked at by blocks for at most so many states.
+_LARGEST_VARYING = 30
 #: Instructions of all the expressions that one elimination may look at: some seconds of work.
 _BUDGET = 25_000
 
@@ -84,11 +88,60 @@ def flow(
     drift = system.f + ca.mtimes(system.g, u)
     psi = ca.jacobian(gamma, system.x).T
     v = plant.gradient - ca.mtimes(psi, u) if structure.form == "F" else drift
-    rest = [ca.mtimes(structure.dissipation(), v), ca.dot(structure.remainder, plant.gradient)]
+    rest = [_without_loss(plant, structure.dissipation(), v), ca.dot(structure.remainder, plant.gradient)]
     rest.append(ca.mtimes(psi.T, drift))
     if still is not None:
         rest.append(ca.mtimes(ca.jacobian(still, system.x), drift))
     return Flow(plant, ubar, drift, ca.vertcat(*rest))
+
+
+def flow_by_balance(plant: Plant, gamma: ca.SX, compensation: ca.SX | None) -> Flow:
+    """The same without a power structure: ``u^T gamma' - S'`` is nowhere negative, and zero on the set; so is gamma'.
+
+    Raises UnsupportedOperation for models that are not analytic.
+    """
+    system = plant.system
+    ubar = ca.SX.sym("ubar", system.m)
+    u = ubar if compensation is None else compensation + ubar
+    rate = ca.mtimes(ca.jacobian(gamma, system.x), system.xdot)
+    loss = ca.dot(system.u, rate) - ca.dot(plant.gradient, system.xdot)
+    _, (value,) = plant.exact(loss)
+    squares = decompose(value.scalar(value.entries[0, 0].field.const(0))) if value.entries else []
+    alone = [plant.expression(square.vector[0]) for square in squares or [] if not square.factors]
+    base = ca.substitute(ca.vertcat(loss, *alone, rate), system.u, u)
+    drift = system.f + ca.mtimes(system.g, u)
+    return Flow(plant, ubar, drift, base)
+
+
+def _without_loss(plant: Plant, B: ca.SX, v: ca.SX) -> ca.SX:
+    """``B v = 0``, with ``v_k = 0`` for the blocks of a varying B that are definite."""
+    lost = ca.mtimes(B, v)
+    if not ca.depends_on(B, plant.system.x) or B.shape[0] > _LARGEST_VARYING:
+        return lost
+    try:
+        field_, (matrix,) = plant.exact(B)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return lost
+    dense = matrix.dense(field_.const(0))
+    rows = [lost[k] for k in range(len(dense))]
+    for block in _blocks(dense):
+        if definite([[dense[i][j] for j in block] for i in block]):
+            for k in block:
+                rows[k] = v[k]
+    return ca.vertcat(*rows)
+
+
+def _blocks(matrix: Sequence[Sequence[Quotient]]) -> list[list[int]]:
+    """Positions that the entries of a symmetric matrix join."""
+    left, blocks = set(range(len(matrix))), []
+    while left:
+        block, edge = set(), {min(left)}
+        while edge:
+            block |= edge
+            edge = {j for i in edge for j in left - block if not matrix[i][j].is_zero()}
+        blocks.append(sorted(block))
+        left -= block
+    return blocks
 
 
 def _velocity_vanishes(plant: Plant, structure: PowerStructure, gamma: ca.SX) -> bool:

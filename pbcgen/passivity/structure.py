@@ -8,7 +8,7 @@ Two forms: ``f = F(x) grad S - rho(x)`` (port-Hamiltonian, with a remainder of f
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,6 +22,9 @@ from pbcgen.proof.elimination import semidefinite
 from pbcgen.proof.nonnegative import Everywhere, Prover
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.tape import Matrix as SparseMatrix
+
+#: Common denominators with more terms are left where they are.
+_MOST_IN_DENOMINATOR = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,22 +76,23 @@ def _searched(plant: Plant) -> Iterator[PowerStructure]:
 
 
 def _search(plant: Plant, drift_first: bool, affine: bool) -> tuple[ca.SX, ca.SX] | None:
-    field, targets, basis, multipliers = _sides(plant, drift_first, affine, symbolic=False)
-    found = find_factor(field, targets, basis, multipliers, drift_first)
+    common, numbers = _sides(plant, drift_first, affine, symbolic=False)
+    found = find_factor(*numbers, drift_first)
     if found is None:
         return None
     factor, pattern = found
-    sides = _sides(plant, drift_first, affine, symbolic=True)
-    if len(sides[-1]) == len(multipliers):
+    shared, sides = _sides(plant, drift_first, affine, symbolic=True)
+    if len(sides[-1]) == len(numbers[-1]):
         refined = refine_symbolically(*sides, plant.parameter_positions(), pattern, remainder_allowed=drift_first)
         if refined is not None:
-            return _as_expressions(plant, refined)
-    return _as_expressions(plant, factor)
+            return _as_expressions(plant, refined, shared)
+    return _as_expressions(plant, factor, common)
 
 
 def _sides(
     plant: Plant, drift_first: bool, affine: bool, symbolic: bool
-) -> tuple[Field, list[Quotient], list[Quotient], list[Quotient]]:
+) -> tuple[Quotient, tuple[Field, list[Quotient], list[Quotient], list[Quotient]]]:
+    """A function that makes polynomials of f and grad S, which is 1 where they are such; then these, times it."""
     field, (drift, gradient) = plant.exact(plant.system.f, plant.gradient, symbolic=symbolic)
     zero = field.const(0)
     f, e = drift.column(zero), gradient.column(zero)
@@ -99,10 +103,22 @@ def _sides(
         multipliers += [
             field.symbol(k) for k, atom in sorted(field.atoms.items()) if not atom.argument.symbols() <= parameters
         ]
-    return field, *((f, e) if drift_first else (e, f)), multipliers
+    common = _common_denominator(field, [*f, *e], plant.parameter_positions())
+    f, e = [v * common for v in f], [v * common for v in e]
+    return common, (field, *((f, e) if drift_first else (e, f)), multipliers)
 
 
-def _as_expressions(plant: Plant, factor: Factor) -> tuple[ca.SX, ca.SX]:
+def _common_denominator(field: Field, functions: Sequence[Quotient], parameters: frozenset[int]) -> Quotient:
+    """The least common denominator where one depends on the state, as sinh makes it, and 1 elsewhere."""
+    common = field.const(1)
+    for function in functions:
+        below = field.polynomial(function.denominator)
+        if not below.symbols() <= parameters:
+            common = common * below / field.polynomial(common.numerator.gcd(function.denominator))
+    return common if len(common.numerator) <= _MOST_IN_DENOMINATOR else field.const(1)
+
+
+def _as_expressions(plant: Plant, factor: Factor, common: Quotient) -> tuple[ca.SX, ca.SX]:
     size = len(factor.matrix)
     matrix, remainder = ca.SX(size, size), ca.SX(size, 1)
     for i, row in enumerate(factor.matrix):
@@ -111,7 +127,7 @@ def _as_expressions(plant: Plant, factor: Factor) -> tuple[ca.SX, ca.SX]:
                 matrix[i, j] = plant.expression(entry)
     for i, entry in enumerate(factor.remainder):
         if not entry.is_zero():
-            remainder[i] = plant.expression(entry)
+            remainder[i] = plant.expression(entry / common)
     return matrix, remainder
 
 

@@ -229,3 +229,47 @@ def test_a_domain_makes_the_global_claim_local():
     claims = _claims(system, {"q": 0})
     assert claims["asymptotically-stable"].status == "PROVED"
     assert claims["globally-asymptotically-stable"].status == "UNDECIDED"
+
+
+def _scaled_input(damping, spring=lambda x: x, more=()):
+    """x' = (1 + x^2) v with an input that enters by the same factor: found without a power structure."""
+    x, v, u = _symbols("x", "v", "u")
+    scale = 1 + x**2
+    states, rates = [x, v, *(s for s, _ in more)], [scale * v, -scale * spring(x) - damping * v, *(r for _, r in more)]
+    energy = sum((s**2 / 2 for s, _ in more), x**2 / 2 + v**2 / 2)
+    return AffineSystem(states, [u], rates, [0, scale, *[0] * len(more)], energy)
+
+
+def test_the_invariant_set_needs_no_power_structure():
+    assert _statuses(_scaled_input(1), {"x": "0.5"}) == ("PROVED", "PROVED", "PROVED")
+
+
+def test_without_a_power_structure_an_undamped_mode_is_not_called_attractive():
+    a, b = _symbols("a", "b")
+    statuses = _statuses(_scaled_input(1, more=((a, b), (b, -a))), {"x": "0.5"}, near={"a": 0, "b": 0})
+    assert statuses[0] == "PROVED"
+    assert "PROVED" not in statuses[1:]
+
+
+def _motor(spring, energy, resistance=1, load=0):
+    i, th, w, u = _symbols("i", "th", "w", "u")
+    rates = [-resistance * i - w, w, i - spring(th) - load * w]
+    return AffineSystem([i, th, w], [u], rates, [1, 0, 0], i**2 / 2 + energy(th) + w**2 / 2)
+
+
+def test_a_motor_with_a_hyperbolic_spring_is_global():
+    assert _statuses(_motor(ca.sinh, ca.cosh), {"th": "0.5"}) == ("PROVED",) * 3
+
+
+@pytest.mark.parametrize("broken", [{"resistance": -1}, {"load": -1}, {"spring": lambda a: 2 * ca.sinh(a)}])
+def test_a_broken_motor_is_not_proved_global(broken):
+    assert _statuses(_motor(**{"spring": ca.sinh, "energy": ca.cosh, **broken}), {"th": "0.5"})[2] != "PROVED"
+
+
+@pytest.mark.parametrize(("slope", "expected"), [(1, "PROVED"), (-2, "OPEN")])
+def test_resistors_with_varying_slopes_leave_nothing_that_moves(slope, expected):
+    i, a, b = _symbols("i", "a", "b")
+    sources = [a / 2 + ca.sinh(a) + (a - b), (b - a) + slope * b]
+    system = Circuit([i], [a, b], L=[1], C=[1, 2], Gamma=[[1, 0]], v_R=[i / 2], i_G=sources, g_L=[-1])
+    found = _statuses(system, {"a": "0.5"}, near={"b": 0})[2]
+    assert (found == "PROVED") == (expected == "PROVED")
