@@ -147,16 +147,36 @@ def _word(text: str) -> str:
 
 
 class SympyAlgebra:
-    """The operations of the tape on SymPy expressions."""
+    """The operations of the tape on SymPy expressions. A condition in a sum is 1 or 0, a number as a condition != 0."""
+
+    title = "SymPy"
 
     def const(self, value: Fraction) -> Any:
         return number(value)
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         try:
-            return _OPERATIONS[name]
+            operation = _OPERATIONS[name]
         except KeyError:
             raise AttributeError(name) from None
+        conditions = _CONDITIONS.get(name, 0)
+
+        def apply(*operands: Any) -> Any:
+            return operation(*(_condition(o) if k < conditions else _numeric(o) for k, o in enumerate(operands)))
+
+        return apply
+
+
+#: How many of the first operands are conditions.
+_CONDITIONS: Mapping[str, int] = {"not_": 1, "and_": 2, "or_": 2, "if_else_zero": 1}
+
+
+def _condition(value: Any) -> Any:
+    return sympy.Ne(value, 0) if isinstance(value, sympy.Expr) else value
+
+
+def _numeric(value: Any) -> Any:
+    return value if isinstance(value, sympy.Expr) else sympy.Piecewise((1, value), (0, True))
 
 
 _OPERATIONS: Mapping[str, Callable[..., Any]] = {
@@ -177,7 +197,7 @@ _OPERATIONS: Mapping[str, Callable[..., Any]] = {
     "fabs": sympy.Abs,
     "fmin": sympy.Min,
     "fmax": sympy.Max,
-    "fmod": sympy.Mod,
+    "fmod": lambda a, b: sympy.sign(a) * sympy.Mod(sympy.Abs(a), sympy.Abs(b)),
     "ceil": sympy.ceiling,
     "lt": sympy.StrictLessThan,
     "le": sympy.LessThan,

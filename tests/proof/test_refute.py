@@ -102,6 +102,18 @@ def test_what_holds_is_not_refuted(value):
     assert not _refuted(value)
 
 
+@pytest.mark.parametrize("seed", range(24))
+def test_what_touches_zero_is_not_refuted_and_what_lies_just_below_is(seed):
+    """Friction (g - c)^2 h with h > 0 vanishes where g = c; less 1e-3 of h it is negative there."""
+    generator = np.random.default_rng(seed)
+    functions = [ca.sin(X[0]), ca.tanh(2 * X[0]), X[0], ca.exp(X[0] / 2), ca.cos(X[0] + X[1]), X[0] * X[1], X[0] - X[1]]
+    g = functions[generator.integers(len(functions))]
+    c = float(generator.uniform(0.1, 0.9))
+    h = [ca.SX(1), 1 + X[1] ** 2, ca.exp(X[1] / 3), 2 + ca.cos(X[1])][generator.integers(4)]
+    assert not _refuted((g - c) ** 2 * h)
+    assert _refuted(((g - c) ** 2 - 1e-3) * h)
+
+
 def test_the_search_is_reproducible():
     value = X[0] ** 4 * X[1] ** 2 + X[0] ** 2 * X[1] ** 4 + 1 - 3 * X[0] ** 2 * X[1] ** 2
     first, second = (refute(_question(value)) for _ in range(2))

@@ -3,9 +3,13 @@
 import random
 
 import casadi as ca
+import numpy as np
 import pytest
 import sympy
+from graphs import BINARY, POINTS, UNARY, graphs
+from hypothesis import given, settings
 
+from pbcgen.errors import UnsupportedOperation
 from pbcgen.examples import names
 from pbcgen.models.loader import load
 from pbcgen.passivity.plant import Plant
@@ -65,3 +69,47 @@ def test_decimals_stay_decimals_and_halves_stay_halves():
     assert "9.81" in latex(found) or "10.31" in latex(found)
     ((half,),) = from_sx(x**2 / 2, [x])
     assert latex(half) == r"\frac{x^{2}}{2}"
+
+
+def _sympy_value(expression, symbols, point):
+    """The value by SymPy in doubles; None where SymPy has no counterpart of an operation, or no real value."""
+    try:
+        ((formula,),) = from_sx(expression, [symbols])
+    except UnsupportedOperation:
+        return None
+    assert not isinstance(formula, TooLarge)
+    names = [sympy.Symbol(entry.name(), real=True) for entry in ca.vertsplit(symbols)]
+    try:
+        value = formula.subs(dict(zip(names, map(sympy.Rational, map(str, point)), strict=True)))
+        value = sympy.Integer(int(value == sympy.true)) if value in (sympy.true, sympy.false) else sympy.N(value, 30)
+    except (TypeError, ValueError):  # a comparison of what is not real, a function beyond its domain
+        return None
+    return float(value) if value.is_real else None
+
+
+@pytest.mark.parametrize("name", [*UNARY, *BINARY])
+def test_an_operation_has_the_value_of_casadi_or_is_named(name):
+    x = ca.SX.sym("x", 2)
+    expression = UNARY[name](x[0]) if name in UNARY else BINARY[name](x[0], x[1])
+    for point in (("3/10", "2/5"), ("17/10", "-3/4"), ("-7/4", "-5/4")):
+        values = [float(sympy.Rational(v)) for v in point]
+        expected, found = float(ca.Function("f", [x], [expression])(values)), _sympy_value(expression, x, point)
+        if found is not None and np.isfinite(expected):
+            assert found == pytest.approx(expected, rel=1e-6 if name == "erfinv" else 1e-12)
+
+
+def test_what_sympy_has_no_name_for_is_named():
+    x = ca.SX.sym("x", 2)
+    with pytest.raises(UnsupportedOperation, match=r"`copysign` has no meaning in SymPy"):
+        from_sx(ca.copysign(x[0], x[1]), [x])
+
+
+@settings(max_examples=25, deadline=None)
+@given(graphs({k: v for k, v in UNARY.items() if k != "erfinv"}, BINARY, size=5))
+def test_a_graph_has_the_value_of_casadi_in_sympy_too(case):
+    symbols, expression = case
+    for point in POINTS[:1]:
+        expected = float(ca.Function("f", [symbols], [expression])([float(v) for v in point]))
+        found = _sympy_value(expression, symbols, point)
+        if found is not None and np.isfinite(expected):
+            assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
