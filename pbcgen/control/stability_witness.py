@@ -14,6 +14,7 @@ from pbcgen.control import velocity_witness
 from pbcgen.control.attraction_witness import eliminate, growth, read, steps_to_rest, uniqueness
 from pbcgen.control.derive import Derivation
 from pbcgen.control.dissipation_witness import sampled_damping
+from pbcgen.control.settings_witness import adjustable
 from pbcgen.control.velocity_witness import SQUARES, squares
 from pbcgen.control.writing import Writing
 from pbcgen.errors import UnsupportedOperation
@@ -260,6 +261,10 @@ class _Work:
             return None
         return {"centre": [_text(v, _PLACES) for v in z], "radius": _RADIUS}
 
+    def settings(self, claim: Claim) -> Witness:
+        """`adjustable`."""
+        return adjustable(self.derivation, self.system, claim)
+
     def sampled(self, claim: Claim) -> Witness:
         """`sampled-stable`."""
         result: dict[str, Any] = {}
@@ -285,6 +290,7 @@ _MAKERS = {
     "asymptotically-stable": _Work.local,
     "globally-asymptotically-stable": _Work.everywhere,
     "sampled-stable": _Work.sampled,
+    "adjustable": _Work.settings,
 }
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 from flint import fmpq
 
@@ -21,6 +23,8 @@ class Model:
     target: dict[str, fmpq]
     gains: dict[str, list[list[fmpq]]]
     limits: list[tuple[list[fmpq], fmpq]]
+    #: What may be set at run time: a condition of the target, or an entry of a gain; the least and the largest value.
+    settings: list[tuple[str, int | None, fmpq, fmpq]]
 
     @staticmethod
     def parse(text: str) -> Model:
@@ -42,13 +46,29 @@ class Model:
             for side, bound in zip((-1, 1), map(_bound, bounds), strict=True):
                 if bound is not None:
                     limits.append(([side * v for v in unit], side * bound))
-        formulas = Formulas.parse(lines)
-        return Model(formulas, words, [rational(v) for v in named.values()], domain, target, gains, limits)
+        settings: list[tuple[str, int | None, fmpq, fmpq]] = [
+            (name, None, rational(lo), rational(hi))
+            for name, lo, hi in re.findall(r"^adjustable target (.+) (\S+) (\S+)$", text, re.M)
+        ]
+        for name, entry, lo, hi in re.findall(r"^adjustable gain (\S+) (\d+) (\S+) (\S+)$", text, re.M):
+            settings.append((name, int(entry) - 1, rational(lo), rational(hi)))
+        numbers = [rational(v) for v in named.values()]
+        return Model(Formulas.parse(lines), words, numbers, domain, target, gains, limits, settings)
 
     def is_constant(self, name: str) -> bool:
         """Whether no state enters a matrix."""
         needed = [self.formulas.part(place).instructions for place in self.formulas.outputs[name][2].values()]
         return not any(operation == "state" for instructions in needed for operation, *_ in instructions)
+
+    def with_settings(self, values: Sequence[Any]) -> Model:
+        """The model with other values of what may be set."""
+        target, gains = {**self.target}, {name: [[*row] for row in rows] for name, rows in self.gains.items()}
+        for (name, entry, _, _), value in zip(self.settings, values, strict=True):
+            if entry is None:
+                target[name] = value
+            else:
+                gains[name][entry if len(gains[name]) > 1 else 0][entry] = value
+        return replace(self, target=target, gains=gains)
 
     def vector(self, name: str) -> list[fmpq]:
         """A gain with one positive entry for each input; ``name`` or ``name_c``."""

@@ -46,6 +46,7 @@ class System:
         self.enclosure = next((c["witness"] for c in document["claims"] if c["claim"] == "equilibrium"), None) or {}
         self.states, self.inputs, self.law = (self.model.words[name] for name in ("states", "inputs", "law"))
         self.n, self.m, self.half = len(self.states), len(self.inputs), len(self.states) // 2
+        self.moves: dict[int, list[Any]] = {}  # the slopes of x* by the settings, where these are looked at
         self.compensated = "potential-compensation" in self.law
         self.inertia = document.get("inertia", [])  # of a system that is read in positions and velocities
         # The inputs are symbols too, and so are the accelerations.
@@ -258,7 +259,14 @@ class System:
 
     def numbers(self, name: str) -> Matrix:
         """A matrix at x*."""
-        return [[plain(v) for v in row] for row in self.star[name]]
+        return [[self.number(v) for v in row] for row in self.star[name]]
+
+    def number(self, value: Any) -> Any:
+        """A value at x* without its slopes by the state; with those by the settings that x* moves with."""
+        if not self.moves:
+            return plain(value)
+        rates = {k: dot([plain(partial(value, j)) for j in range(self.n)], x) for k, x in self.moves.items()}
+        return Dual(plain(value), rates)
 
     def is_regular(self, name: str) -> bool:
         """Whether a matrix certainly has an inverse at x*; ZeroDivisionError otherwise."""
@@ -266,11 +274,11 @@ class System:
 
     def jacobian(self, column: Matrix) -> Matrix:
         """The Jacobian of a column of duals."""
-        return [[plain(partial(v, k)) for k in range(self.n)] for (v,) in column]
+        return [[self.number(partial(v, k)) for k in range(self.n)] for (v,) in column]
 
     def hessian(self, value: Any) -> Matrix:
         """The Hessian of a dual of duals."""
-        return [[plain(partial(partial(value, i), k)) for k in range(self.n)] for i in range(self.n)]
+        return [[self.number(partial(partial(value, i), k)) for k in range(self.n)] for i in range(self.n)]
 
     @cached_property
     def gamma(self) -> Matrix:
@@ -330,8 +338,10 @@ class System:
     @cached_property
     def plant(self) -> tuple[Matrix, Matrix]:
         """(A, B) of the plant at (x*, u*)."""
-        driven = product(self.star["g"], [[u] for u in self.point[1]])
-        return self.jacobian(plus(self.star["f"], driven)), self.numbers("g")
+        A = self.jacobian(self.star["f"])
+        for column, u in zip(transpose(self.star["g"]), self.point[1], strict=True):
+            A = plus(A, self.jacobian([[v] for v in column]), u)
+        return A, self.numbers("g")
 
     @cached_property
     def controller(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
@@ -355,7 +365,7 @@ class System:
         P, C = blocks([[part[0]] for part in parts]), blocks([[part[2] for part in parts]])
         Q = blocks([[part[1] if part is other else zero for other in parts] for part in parts])
         D = (
-            self.hessian(self.potential(variables(self.point[0], 2)[: self.half], fmpq))[: self.m]
+            self.hessian(self.potential(variables(self.point[0], 3 if self.moves else 2)[: self.half], fmpq))[: self.m]
             if self.compensated
             else product(zero, gamma)
         )

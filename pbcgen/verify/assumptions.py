@@ -7,7 +7,7 @@ from typing import Any
 
 from flint import fmpq
 
-from pbcgen.reading.sums import Sums
+from pbcgen.reading.settings import Family
 from pbcgen.reading.system import require
 from pbcgen.symbolic.plain.boxes import shown
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
@@ -23,13 +23,15 @@ _ELSEWHERE = {"all x where the model is defined", "at x*", "near x*", "all input
 _ELSEWHERE |= {"sampled loop", "sampled loop, all x"}
 
 
-class Assumptions(Sums):
+class Assumptions(Family):
     """One method for each claim and status; it raises Fails unless the certificate shows the claim."""
 
     def reaches(self, claim: str) -> bool:
         """Whether the domain that the certificate states for a claim is one that is checked."""
         text = self.domain[claim]
         constant = claim == "input-rank" and self.model.is_constant("g")
+        if claim == "adjustable":
+            return self.is_described(claim)
         return text in _ELSEWHERE or (text == "all x" and (claim in _EVERYWHERE or constant)) or self.on_box(claim)
 
     def once(self, check: Callable[[], None]) -> None:

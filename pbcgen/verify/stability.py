@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -256,3 +257,32 @@ class Stability(Assumptions):
             side = blocks([[[[v / -2 for v in row] for row in self.upsilon(s)], diagonal([fmpq(1, 2)] * self.m)]])
             left = blocks([[left, transpose(side)], [side, product(gains["K_l"], gains["R_l"])]])
         require(is_definite(left), "the storage may grow from sample to sample")
+
+    # --- at all settings -------------------------------------------------------------------------------------------
+
+    def proved_adjustable(self) -> None:
+        """All settings have an x* that meets the target; near it the loop is stable, sampled too; the inputs fit."""
+        witness = self.witness["adjustable"]
+        if "cells" not in witness:
+            raise NotCheckable("the certificate holds no cells of the settings")
+        require(self.model.settings and self.rests(), "the settings have other equilibria")
+        require(self.passes_by(witness["cells"]), "a cell of settings may fail")
+        require(self.compensated or self.fits(witness["trees"]), "an input may leave its limits")
+        if self.compensated:
+            self.at([hi for _, hi in self.box]).proved_saturation()
+
+    def refuted_adjustable(self) -> None:
+        """At some settings there is no x*, or it leaves the domain, or an input its limits, or the loop is unstable."""
+        witness = self.witness["adjustable"]
+        if "at" not in witness:
+            raise NotCheckable("the certificate holds no settings that fail")
+        values = self.given("adjustable", "at")
+        require(all(lo <= v <= hi for v, (lo, hi) in zip(values, self.box, strict=True)), "these may not be set")
+        if "steps" in witness:
+            other = copy.copy(self)
+            other.model, other.witness = self.model.with_settings(values), {"equilibrium": witness}
+            return other.refuted_equilibrium()
+        require(self.rests(), "the settings have other equilibria")
+        other = self.at(values)
+        unstable = stable(other.continuous, False) is False or stable(other.sampled, True) is False
+        return require(other.misses() or unstable, "nothing certainly fails at these settings")

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from math import comb
 from typing import Any
 
-from flint import acb_mat, arb, arb_mat, ctx, fmpq
+from flint import acb, acb_mat, arb, arb_mat, ctx, fmpq
 
-from pbcgen.symbolic.plain.values import partial, sign, times, variables
+from pbcgen.symbolic.plain.values import Dual, partial, plain, sign, times, variables
 
 Matrix = list[list[Any]]
 
@@ -53,9 +53,24 @@ def blocks(rows: Sequence[Sequence[Matrix]]) -> Matrix:
 
 
 def inverse(a: Matrix) -> Matrix:
-    """The inverse in balls. Raises ZeroDivisionError if there may be none."""
-    result: Matrix = arb_mat(a).inv().tolist()
-    return result
+    """The inverse in balls, with slopes if there are. Raises ZeroDivisionError if there may be none."""
+    value, slopes = _apart(a)
+    found = value.inv()
+    return _together(found, {k: -(found * s * found) for k, s in slopes.items()})
+
+
+def _apart(a: Matrix) -> tuple[arb_mat, dict[int, arb_mat]]:
+    """A matrix of duals as matrices: the values, and the slopes by variable."""
+    keys = {k for row in a for v in row if isinstance(v, Dual) for k in v.slope}
+    slopes = {k: arb_mat([[plain(partial(v, k)) for v in row] for row in a]) for k in sorted(keys)}
+    return arb_mat([[plain(v) for v in row] for row in a]), slopes
+
+
+def _together(value: arb_mat, slopes: dict[int, arb_mat]) -> Matrix:
+    if not slopes:
+        return [[*row] for row in value.tolist()]
+    places = [[(i, j) for j in range(value.ncols())] for i in range(value.nrows())]
+    return [[Dual(value[at], {k: s[at] for k, s in slopes.items()}) for at in row] for row in places]
 
 
 def is_definite(a: Matrix, semi: bool = False) -> bool:
@@ -93,10 +108,65 @@ def zero_order_hold(A: Matrix, B: Matrix, h: fmpq) -> tuple[Matrix, Matrix]:
     rows = [[v * h for v in (*a, *b)] for a, b in zip(A, B, strict=True)] + [[fmpq(0)] * (n + m)] * m
     bits = ctx.prec
     # The exponential loses bits in proportion to the norm; these pay for them.
-    ctx.prec += min(4096, 3 * max(int(sum(abs(float(arb(v))) for v in row)) for row in rows))
-    held = arb_mat(rows).exp().tolist()[:n]
+    ctx.prec += min(4096, 3 * max(int(sum(abs(float(arb(plain(v)))) for v in row)) for row in rows))
+    value, slopes = _apart(rows)
+    held = _together(value.exp(), {k: _slope_of_exp(value, s) for k, s in slopes.items()})[:n]
     ctx.prec = bits
     return [row[:n] for row in held], [row[n:] for row in held]
+
+
+def _slope_of_exp(a: arb_mat, slope: arb_mat) -> arb_mat:
+    """The derivative of the exponential: a block of that of ``[[a, slope], [0, a]]``."""
+    size, zero = a.nrows(), arb_mat(a.nrows(), a.nrows()).tolist()
+    whole = arb_mat(blocks([[a.tolist(), slope.tolist()], [zero, a.tolist()]])).exp().tolist()
+    return arb_mat([row[size:] for row in whole[:size]])
+
+
+def all_stable(centre: Matrix, over: Matrix, widths: Sequence[fmpq], discrete: bool) -> bool:
+    """Whether every ``centre + sum_k t_k S_k`` with ``abs(t_k) <= widths[k]`` is stable, S_k the slopes in ``over``.
+
+    In the eigenvectors of the centre, with positive weights: by the discs about the entries on the diagonal. Where some
+    eigenvalues nearly meet, their eigenvectors nearly do: then an orthogonal basis of their span serves too.
+    """
+    own, slopes = arb_mat(centre), _apart(over)[1]
+    for apart in (fmpq(0), fmpq(1, 3)):
+        V = _eigenvectors(own, apart)
+        back = V.inv()
+        modal = back * acb_mat(own) * V
+        for k, s in slopes.items():
+            modal += back * acb_mat(s) * V * acb(arb(0, arb(widths[k])))
+        if _in_discs(modal, discrete):
+            return True
+    return False
+
+
+def _eigenvectors(a: arb_mat, apart: fmpq) -> acb_mat:
+    """Columns near the eigenvectors; orthogonal where eigenvalues are nearer than this share of the larger one.
+
+    Lengths are measured with every coordinate relative to its largest entry.
+    """
+    values, V = acb_mat(a.mid()).eig(right=True, algorithm="approx")
+    columns = [[v.mid() for v in column] for column in V.transpose().tolist()]
+    sizes = [max(abs(v).mid() for v in row) ** 2 for row in zip(*columns, strict=True)]
+    for j, column in enumerate(columns):
+        for i, other in enumerate(columns[:j]):
+            if abs(values[i] - values[j]) < abs(values[j]) * apart:
+                turned = [v.conjugate() / s for v, s in zip(other, sizes, strict=True)]
+                share = dot(turned, column) / dot(turned, other)
+                column[:] = [(v - w * share).mid() for v, w in zip(column, other, strict=True)]
+        length = max(abs(v).mid() ** 2 / s for v, s in zip(column, sizes, strict=True)).sqrt().mid()
+        column[:] = [(v / length).mid() for v in column]
+    return acb_mat(transpose(columns))
+
+
+def _in_discs(modal: acb_mat, discrete: bool) -> bool:
+    """Whether every disc about an entry on the diagonal is in the unit disc, or in the left half-plane."""
+    size = range(modal.nrows())
+    margins = [1 - abs(modal[i, i]) if discrete else -modal[i, i].real for i in size]
+    radii = [[abs(modal[i, j]) * int(i != j) for j in size] for i in size]
+    reach = plus(diagonal([m.mid() for m in margins]), [[r.abs_upper() for r in row] for row in radii], -1)
+    weights = [d.mid() for (d,) in arb_mat(reach).solve(arb_mat([[1]] * len(margins))).tolist()]
+    return all(d > 0 and dot(row, weights) < m * d for d, row, m in zip(weights, radii, margins, strict=True))
 
 
 def stable(a: Matrix, discrete: bool, storage: Matrix | None = None) -> bool | None:
