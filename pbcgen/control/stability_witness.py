@@ -263,7 +263,7 @@ class _Work:
 
     def settings(self, claim: Claim) -> Witness:
         """`adjustable`."""
-        return adjustable(self.derivation, self.system, claim)
+        return adjustable(self.derivation, self.system, claim, self.terms)
 
     def sampled(self, claim: Claim) -> Witness:
         """`sampled-stable`."""

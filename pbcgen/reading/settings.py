@@ -13,14 +13,16 @@ from flint import arb, fmpq
 from pbcgen.reading.sums import Sums
 from pbcgen.symbolic.plain.boxes import Box, halves, shown
 from pbcgen.symbolic.plain.formulas import Formulas, rational
-from pbcgen.symbolic.plain.matrices import all_stable, plus, product
-from pbcgen.symbolic.plain.values import Field, partial, plain, sign, variables
+from pbcgen.symbolic.plain.matrices import all_stable, dot, inverse, krawczyk, negative, plus, product
+from pbcgen.symbolic.plain.values import Dual, Field, Grow, NotCheckable, partial, plain, sign, variables
 
 #: What is kept of a design once it is known, and is another at another x*.
 _AT_X_STAR = (
     *("star", "gamma", "stiffness", "shaped", "hessian_d", "hessian_dc", "plant", "controller"),
     *("continuous", "sampled", "is_hurwitz"),
 )
+#: Newton's steps from the start of an unknown, and what a box around it is wider than its values.
+_STEPS, _LEAST = 12, fmpq(1, 10**60)
 #: In the words of a domain, numbers have six digits.
 _ROUNDED = fmpq(1, 10**5)
 
@@ -38,25 +40,88 @@ class Family(Sums):
         """The range of each setting."""
         return [(lo, hi) for _, _, lo, hi in self.model.settings]
 
-    def rest_at(self, values: Sequence[Any], lift: Callable[[fmpq], Any] = fmpq) -> list[Any]:
+    def rest_at(self, values: Sequence[Any]) -> list[Any]:
         """x* and u* at settings of any kind of value."""
         if not self.written_rest.outputs:
             return [*self.point[0], *self.point[1]]
-        return self.written_rest.column("rest", self.written_rest.walk(lift, {"setting": values}))
+        return self._rest(values, self._solved(values))
+
+    def _rest(self, values: Sequence[Any], z: Sequence[Any], lift: Callable[[fmpq], Any] = fmpq) -> list[Any]:
+        """The formulas of x* and u* with settings and unknowns put in."""
+        return self.written_rest.column("rest", self.written_rest.walk(lift, {"setting": values, "solved": z}))
+
+    def _left(
+        self, values: Sequence[Any], z: Sequence[Any], lift: Callable[[fmpq], Any] = fmpq, standing: bool = False
+    ) -> list[Any]:
+        """What the equations of an equilibrium that meets the target leave of zero; ``standing`` systems in (q, v)."""
+        x_u = self._rest(values, z, lift)
+        x, u = x_u[: self.n], x_u[self.n :]
+        found = self.walk(x, lift, dict.fromkeys(self.velocities, lift(fmpq(0))) if standing else None)
+        rates = plus(found["f"], product(found["g"], [[v] for v in u]))
+        wanted = {name: lift(value) for name, value in self.model.target.items()}
+        wanted |= {name: v for (name, entry, _, _), v in zip(self.model.settings, values, strict=True) if entry is None}
+        return [v for (v,) in rates] + [found[f"target {name}"][0][0] - value for name, value in wanted.items()]
+
+    @cached_property
+    def unknowns(self) -> int:
+        """How many unknowns the formulas have beside the settings."""
+        return self.written_rest.outputs["start"][0] if "start" in self.written_rest.outputs else 0
+
+    @cached_property
+    def open_rows(self) -> list[int]:
+        """The equations that do not vanish with the formulas put in, whatever the settings and unknowns are."""
+        count, settings = len(self.model.settings), (32,)  # type: int, tuple[Any, ...]
+        for _ in range(20):
+            field = Field(count + self.unknowns, *settings)
+            values, z = field.symbols[:count], field.symbols[count:]
+            momenta = self._rest(values, z, field.lift)[self.half : self.n]
+            standing = bool(self.inertia and self.solved is not None) and not any(field.lift(p).top for p in momenta)
+            try:
+                left = self._left(values, z, field.lift, standing)
+            except Grow as larger:
+                settings = larger.args
+                continue
+            return [k for k, v in enumerate(left) if field.lift(v).top]
+        raise NotCheckable("too many arguments")
 
     def rests(self) -> bool:
-        """Whether these are equilibria that meet the target, for all settings."""
-        field = Field(len(self.model.settings), 32)
-        names, values = [name for name, entry, _, _ in self.model.settings if entry is None], field.symbols
-        z = [field.lift(v) for v in self.rest_at(values, field.lift)] if names else []
-        if not z:
-            return bool(self.point)
-        standing = bool(self.inertia) and all(p.number() == 0 for p in z[self.half : self.n])
-        found = self.walk(z[: self.n], field.lift, dict.fromkeys(self.velocities, field.lift(0)) if standing else None)
-        rates = [v for (v,) in plus(found["f"], product(found["g"], [[u] for u in z[self.n :]]))]
-        wanted = self.model.target | dict(zip(names, values, strict=False))
-        rates += [found[f"target {name}"][0][0] - value for name, value in wanted.items()]
-        return not any(field.lift(v).top for v in rates)
+        """Whether these are equilibria that meet the target, and the declared one is among them."""
+        if not self.written_rest.outputs:
+            return not any(entry is None for _, entry, _, _ in self.model.settings)
+        own = [lo if entry is not None else self.model.target[name] for name, entry, lo, _ in self.model.settings]
+        apart = {sign(a - b) for a, b in zip(self.rest_at(own), [*self.point[0], *self.point[1]], strict=True)}
+        return len(self.open_rows) == self.unknowns and not apart & {1, -1}
+
+    def _solved(self, values: Sequence[Any]) -> list[Any]:
+        """The unknowns: Newton's steps from the start, and Krawczyk's test for all these settings at once."""
+        size, over = range(self.unknowns), [plain(v) for v in values]
+        if not size:
+            return []
+
+        def left(z: Sequence[Any], at: Sequence[Any] = over) -> list[Any]:
+            found = self._left(at, z)
+            return [found[k] for k in self.open_rows]
+
+        middle = [arb(v).mid() for v in over]
+        start = self.written_rest.walk(fmpq, {"setting": middle}, None, self.written_rest.outputs["start"][2].values())
+        z = [arb(v).mid() for v in self.written_rest.column("start", start)]
+        for _ in range(_STEPS):
+            found = left(variables(z), middle)
+            back = inverse([[partial(v, k) for k in size] for v in found])
+            z = [arb(v - s).mid() for v, (s,) in zip(z, product(back, [[plain(v)] for v in found]), strict=True)]
+        moved = product(back, [[v] for v in left(z)])
+        reach = max((abs(arb(s)) / (1 + abs(c))).abs_upper() for c, (s,) in zip(z, moved, strict=True))
+        boxes = (krawczyk(left, z, reach * factor + _LEAST) for factor in (2, 4))
+        box = next((box for box in boxes if box is not None), None)
+        if box is None:
+            return [arb("nan")] * len(size)
+        found = self._left(variables([*over, *box])[: len(over)], variables([*over, *box])[len(over) :])
+        rows = [found[k] for k in self.open_rows]
+        back = inverse([[partial(v, len(over) + k) for k in size] for v in rows])
+        rates = negative(product(back, [[partial(v, k) for k in range(len(over))] for v in rows]))
+        keys = {k for v in values if isinstance(v, Dual) for k in v.slope}
+        slopes = [{k: dot(row, [partial(v, k) for v in values]) for k in keys} for row in rates]
+        return [Dual(v, slope) if keys else v for v, slope in zip(box, slopes, strict=True)]
 
     def at(self, values: Sequence[Any], slopes: bool = False) -> Self:
         """The design with these settings; with ``slopes`` its closed loop has those by the settings."""
@@ -69,10 +134,14 @@ class Family(Sums):
         other.point = [plain(v) for v in x_u[: self.n]], x_u[self.n :]
         return other
 
+    def spread(self, cell: Box) -> tuple[Self, Self]:
+        """The design in the middle of a cell, and over the cell with slopes."""
+        balls = [lo if lo == hi else arb(lo).union(arb(hi)) for lo, hi in cell]
+        return self.at([(lo + hi) / 2 for lo, hi in cell]), self.at(balls, True)
+
     def passes(self, cell: Box) -> bool:
         """Whether for all settings of a cell x* is in the domain, and the closed loop stable near it, sampled too."""
-        middle = self.at([(lo + hi) / 2 for lo, hi in cell])
-        over = self.at([lo if lo == hi else arb(lo).union(arb(hi)) for lo, hi in cell], True)
+        middle, over = self.spread(cell)
         widths = [(hi - lo) / 2 for lo, hi in cell]
         inside = self.inside(dict(zip(self.states, over.point[0], strict=True)), {1})
         return (
@@ -110,8 +179,13 @@ class Family(Sums):
         return len(trees) == len(limits) and all(shown(trees[k], self.box, self.room(k), {}) for k in limits)
 
     def is_described(self, claim: str) -> bool:
-        """Whether the domain of a claim names the settings with their ranges."""
+        """Whether the domain of a claim names the settings with their ranges, or conditions that depend on others."""
         found = re.findall(r"(\S+) in \[([^,]+), ([^\]]+)\]", self.domain[claim])
+        names = [name for name, _, _, _ in self.model.settings]
+        if not found and self.status[claim] == "REFUTED":
+            targets = [name for name, entry, _, _ in self.model.settings if entry is None]
+            return bool(self.domain[claim] == ", ".join(targets))
+        labels = [name if names.count(name) == 1 else f"{name}_{(k or 0) + 1}" for name, k, _, _ in self.model.settings]
         numbers = [rational(end) for _, *ends in found for end in ends], [end for ends in self.box for end in ends]
-        same = len(found) == len(self.box)
+        same = [name for name, *_ in found] == labels
         return same and all(abs(a - b) <= abs(b) * _ROUNDED for a, b in zip(*numbers, strict=True))

@@ -48,6 +48,11 @@ class Sums(System):
         """Terms by their places; None is zero."""
         return [self.field.lift(0 if place is None else self.placed[place]) for place in places]
 
+    def storage(self, claim: str) -> Matrix | None:
+        """The matrix P of a witness, given by its lower triangle."""
+        rows = self.witness[claim].get("P")
+        return rows and [[rational(rows[max(i, j)][min(i, j)]) for j in range(len(rows))] for i in range(len(rows))]
+
     @property
     def rows(self) -> list[Any]:
         """For each square of passive-output a function that vanishes where the square does, in (x, u)."""

@@ -10,6 +10,7 @@ from flint import arb, fmpq, fmpq_mat
 
 from pbcgen.reading.model import Model
 from pbcgen.reading.velocity import solves
+from pbcgen.symbolic.plain.elimination import Elimination, slopes
 from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import (
     Matrix,
@@ -333,6 +334,12 @@ class System:
             signals["feedthrough"] = [v for row in self.rate("gamma") for v in row[1:]]
         return signals
 
+    def smooth(self) -> None:
+        """No divisor is zero at x*."""
+        point = [*self.settled, *self.resting_input, *[fmpq(0)] * len(self.inertia)]
+        divisors = [self.field.at(divisor, point) for divisor in self.field.all_divisors.values()]
+        require({sign(v) for v in divisors} <= {1, -1}, "a divisor may be zero at x*")
+
     # --- the closed loop -------------------------------------------------------------------------------------------
 
     @cached_property
@@ -455,3 +462,10 @@ class System:
             offset = plus(offset, product(fmpq_mat(self.model.gains["K_c"]).inv().tolist(), w))
         pairs = zip(w, self.model.vector("alpha"), self.model.vector("beta"), offset, strict=True)
         return [v for (v,) in drift] + [v + a * apply("tanh", z * b) for (v,), a, b, (z,) in pairs]
+
+    def compliance(self, chain: Elimination) -> Matrix:
+        """``d gamma / d ubar + K_c^-1``, its symmetric part: (rest) has one solution where this is nonnegative."""
+        along = [slopes(self.field, chain.reduced(v))[self.n : self.n + self.m] for v in self.column("gamma")]
+        soft = [[(a + b) / 2 for a, b in zip(*rows, strict=True)] for rows in zip(along, transpose(along), strict=True)]
+        K_c = self.model.gains.get("K_c")
+        return soft if K_c is None else plus(soft, fmpq_mat(K_c).inv().tolist())

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
-from flint import arb_mat, fmpq, fmpq_mat
+from flint import arb_mat, fmpq
 
 from pbcgen.reading.system import require
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
@@ -46,11 +46,6 @@ class Stability(Assumptions):
         if "natural-damping" in self.law:
             self.once(self.proved_theta)
 
-    def storage(self, claim: str) -> Matrix | None:
-        """The matrix P of a witness, given by its lower triangle."""
-        rows = self.witness[claim].get("P")
-        return rows and [[rational(rows[max(i, j)][min(i, j)]) for j in range(len(rows))] for i in range(len(rows))]
-
     @cached_property
     def is_hurwitz(self) -> bool | None:
         """Whether the linearised closed loop is Hurwitz; None if that is not certain."""
@@ -76,13 +71,8 @@ class Stability(Assumptions):
             return self.proved_globally_asymptotically_stable()
         self.lyapunov()
         self.chain("asymptotically-stable")
-        self._smooth()
+        self.smooth()
         return require(sign(arb_mat(self.continuous).det()) in (1, -1), "x* may not be isolated")
-
-    def _smooth(self) -> None:
-        point = [*self.settled, *self.resting_input, *[fmpq(0)] * len(self.inertia)]
-        divisors = [self.field.at(divisor, point) for divisor in self.field.all_divisors.values()]
-        require({sign(v) for v in divisors} <= {1, -1}, "a divisor may be zero at x*")
 
     def refuted_asymptotically_stable(self) -> None:
         """An unstable eigenvalue; a conserved linear function; or trajectories near x* with a constant storage."""
@@ -105,7 +95,7 @@ class Stability(Assumptions):
             require(sign(put_in(self.field, value, self.point[0]) - self.point[0][k]) == 0, "x* is not in the set")
             constants.append(dot(slopes(self.field, self.field.symbols[k] - value), self.rates))
         self.zero([chain.reduced(v) for v in [*constants, self.power_at(self.push)]], "the set is not as it must be")
-        self._smooth()
+        self.smooth()
 
     # --- LaSalle's invariant set -----------------------------------------------------------------------------------
 
@@ -173,13 +163,6 @@ class Stability(Assumptions):
         S = self.field.lift(put_in(self.field, S, [fixed.get(k, v) for k, v in enumerate(self.field.symbols)]))
         free = [k for k in range(self.n) if k not in fixed]
         return [[slopes(self.field, slopes(self.field, S)[i])[j] for j in free] for i in free]
-
-    def compliance(self, chain: Elimination) -> Matrix:
-        """``d gamma / d ubar + K_c^-1``, its symmetric part: (rest) has one solution where this is nonnegative."""
-        along = [slopes(self.field, chain.reduced(v))[self.n : self.n + self.m] for v in self.column("gamma")]
-        soft = [[(a + b) / 2 for a, b in zip(*rows, strict=True)] for rows in zip(along, transpose(along), strict=True)]
-        K_c = self.model.gains.get("K_c")
-        return soft if K_c is None else plus(soft, fmpq_mat(K_c).inv().tolist())
 
     def grows(self, witness: Any) -> None:
         """The Lyapunov function is radially unbounded.

@@ -13,7 +13,7 @@ from flint import fmpq
 from pbcgen.symbolic.plain.values import apply
 
 #: Instructions whose operand is a number or the position of an input.
-_LEAVES = {"constant", "state", "input", "parameter", "measured"}
+_LEAVES = {"constant", "state", "input", "parameter", "measured", "setting", "solved"}
 
 
 class Malformed(Exception):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import permutations
 from math import comb
 from typing import Any
 
@@ -55,6 +56,9 @@ def blocks(rows: Sequence[Sequence[Matrix]]) -> Matrix:
 def inverse(a: Matrix) -> Matrix:
     """The inverse in balls, with slopes if there are. Raises ZeroDivisionError if there may be none."""
     value, slopes = _apart(a)
+    size, parts = range(len(a)), (value, *slopes.values())
+    if all(sign(m[at]) == 0 for m in parts for at in permutations(size, 2)) and all(sign(value[i, i]) for i in size):
+        return diagonal([1 / a[i][i] for i in size])  # sharper
     found = value.inv()
     return _together(found, {k: -(found * s * found) for k, s in slopes.items()})
 
@@ -95,7 +99,7 @@ def krawczyk(
     size, half = range(len(centre)), [[arb(0, arb(radius * (1 + abs(c))))] for c in centre]
     box = [c + h[0] for c, h in zip(centre, half, strict=True)]
     value, near, over = function(centre), function(variables(centre)), function(variables(box))
-    Y = [[v.mid() for v in row] for row in inverse([[partial(f, k) for k in size] for f in near])]
+    Y = [[arb(v).mid() for v in row] for row in inverse([[partial(f, k) for k in size] for f in near])]
     defect = plus(diagonal([arb(1)] * len(box)), product(Y, [[partial(f, k) for k in size] for f in over]), -1)
     image = plus(product(defect, half), product(Y, [[v] for v in value]), -1)
     found = [c + row[0] for c, row in zip(centre, image, strict=True)]
@@ -148,9 +152,13 @@ def _eigenvectors(a: arb_mat, apart: fmpq) -> acb_mat:
     values, V = acb_mat(a.mid()).eig(right=True, algorithm="approx")
     columns = [[v.mid() for v in column] for column in V.transpose().tolist()]
     sizes = [max(abs(v).mid() for v in row) ** 2 for row in zip(*columns, strict=True)]
+    group = [*range(len(columns))]
+    for j, b in enumerate(values):
+        linked = {group[i] for i, a in enumerate(values[:j]) if abs(a - b) < max(abs(a).mid(), abs(b).mid()) * apart}
+        group = [j if g in linked else g for g in group]
     for j, column in enumerate(columns):
         for i, other in enumerate(columns[:j]):
-            if abs(values[i] - values[j]) < abs(values[j]) * apart:
+            if group[i] == group[j]:
                 turned = [v.conjugate() / s for v, s in zip(other, sizes, strict=True)]
                 share = dot(turned, column) / dot(turned, other)
                 column[:] = [(v - w * share).mid() for v, w in zip(column, other, strict=True)]
