@@ -58,7 +58,7 @@ class Quotient:
 
     def __add__(self, other: Quotient) -> Quotient:
         if self.denominator == other.denominator:
-            self.field.charge(len(self.numerator) + len(other.numerator))
+            self.field.charge(min(len(self.numerator), len(other.numerator)))  # copying the longer one costs little
             return self.field.quotient(self.numerator + other.numerator, self.denominator)
         self.field.charge(len(self.numerator) * len(other.denominator) + len(self.denominator) * len(other.numerator))
         return self.field.quotient(
