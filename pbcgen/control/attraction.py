@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from pbcgen.control.landscape import Landscape
 from pbcgen.control.situation import Situation
-from pbcgen.passivity.shaping import add, congruence, shape_at
+from pbcgen.passivity.shaping import shape_at
 from pbcgen.proof.boxes import Box, halves, lengths, longest_side
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix, inverse
+from pbcgen.proof.definite import RealMatrix, dense, inverse
 from pbcgen.symbolic.real import BITS, approximate, enclose, midpoint, precision, rational
 
 #: Bits for branch and bound: the enclosures are wide anyway.
@@ -155,9 +155,8 @@ def _half_widths(situation: Situation, landscape: Landscape) -> list[Fraction]:
     """Half-widths of the box around the ellipsoid of the Hessian of W at x*."""
     shape = shape_at(situation.plant, situation.point, situation.gamma, situation.compensation is not None)
     series: RealMatrix = [[rational(Fraction(float(v))) for v in row] for row in landscape.envelope.series_at_target()]
-    hessian = add(shape.H0, congruence(shape.N, series))
     with precision(BITS):
-        inverted = inverse(hessian)
+        inverted = inverse(dense(shape.hessian(series), len(shape.N)))
     if inverted is None:
         return [Fraction(1)] * situation.plant.system.n
     return [Fraction(float(np.sqrt(max(approximate(inverted[i][i]), 1e-300)))) for i in range(len(inverted))]

@@ -32,7 +32,7 @@ from pbcgen.passivity.obstruction import obstruction
 from pbcgen.passivity.plant import Point
 from pbcgen.passivity.shaping import diagonal, exact_matrix, extended_hessian, shape_at
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import RealMatrix, positive_definite
+from pbcgen.proof.definite import RealMatrix, Rows, positive_definite
 from pbcgen.symbolic.real import BITS, Real, approximate, fraction, lower, midpoint, precision, rational, sign, upper
 from pbcgen.symbolic.tape import Tape
 from pbcgen.verify.files import FORMAT, digest
@@ -231,7 +231,7 @@ def _gradient(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str,
     return None if structure is None or not _needs_structure(derivation) else {"form": structure.form}
 
 
-def _direction(matrix: Callable[[Derivation], RealMatrix]) -> Callable[..., dict[str, Any] | None]:
+def _direction(matrix: Callable[[Derivation], Rows]) -> Callable[..., dict[str, Any] | None]:
     """The rational direction in which a matrix is not positive definite."""
 
     def make(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
@@ -242,7 +242,7 @@ def _direction(matrix: Callable[[Derivation], RealMatrix]) -> Callable[..., dict
     return make
 
 
-def _hessian(derivation: Derivation, extended: bool) -> RealMatrix:
+def _hessian(derivation: Derivation, extended: bool) -> Rows:
     base = _base(derivation.law)
     assert derivation.point is not None
     assert derivation.gamma is not None

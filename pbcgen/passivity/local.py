@@ -15,7 +15,7 @@ from pbcgen.passivity.construction import drift_by_construction
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.proof.definite import RealMatrix, inverse
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, reals
-from pbcgen.symbolic.tape import Tape
+from pbcgen.symbolic.tape import Matrix, Tape
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +70,14 @@ class Local:
 
     def at(self, *outputs: ca.SX) -> list[RealMatrix]:
         """The values of expressions in (x, u, parameters, symbols) at x*, dense."""
+        return [matrix.dense(ZERO) for matrix in self.walk(*outputs)]
+
+    def walk(self, *outputs: ca.SX) -> list[Matrix[Real]]:
+        """The same values, sparse."""
         plant = self.plant
         tape = Tape.of([*plant.symbols, self.symbols], list(outputs))
         numbers = plant.values
         parameters = reals([numbers[name] for name in plant.parameter_names])
         inputs: list[list[Real]] = [list(self.point.x), list(self.point.u), parameters, list(self.values)]
         with precision(BITS):
-            return [matrix.dense(ZERO) for matrix in tape.walk(REAL, inputs)]
+            return tape.walk(REAL, inputs)

@@ -6,13 +6,23 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import casadi as ca
-from flint import fmpq, fmpq_mat
+from flint import fmpq
 
 from pbcgen.passivity.local import Local
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import Definiteness, RealMatrix, as_balls, eigenvalues, positive_definite
+from pbcgen.proof.definite import (
+    Definiteness,
+    RealMatrix,
+    SparseRow,
+    as_balls,
+    eigenvalues,
+    nonzeros,
+    positive_definite,
+    smallest_eigenvalue,
+    solve_positive,
+)
 from pbcgen.symbolic.real import BITS, ZERO, Real, is_finite, precision, radius, rational, sign, text
 
 
@@ -23,18 +33,24 @@ class Shape:
     Attributes:
         kappa: m entries (kappa); the equilibrium input is -kappa.
         gradient: grad S + grad gamma kappa at x*, n entries; zero when the gradient condition holds.
-        H0: hess S + hess(gamma^T kappa) at x*, n x n.
+        H0: hess S + hess(gamma^T kappa) at x*, n x n, its entries that are not exactly zero.
         N: grad gamma at x*, n x m.
     """
 
     kappa: tuple[Real, ...]
     gradient: tuple[Real, ...]
-    H0: RealMatrix
+    H0: list[SparseRow]
     N: RealMatrix
 
-    def hessian(self, stiffness: RealMatrix) -> RealMatrix:
+    def hessian(self, stiffness: RealMatrix) -> list[SparseRow]:
         """``H0 + N A N^T`` for an m x m stiffness A."""
-        return add(self.H0, congruence(self.N, stiffness))
+        result = [dict(row) for row in self.H0]
+        reached = [i for i, row in enumerate(nonzeros(self.N)) if row]
+        shaped = congruence([self.N[i] for i in reached], stiffness)
+        for i, row in zip(reached, shaped, strict=True):
+            for j, entry in zip(reached, row, strict=True):
+                result[i][j] = result[i].get(j, ZERO) + entry
+        return result
 
 
 def add(a: RealMatrix, b: RealMatrix) -> RealMatrix:
@@ -76,16 +92,6 @@ def exact_matrix(rows: tuple[tuple[Fraction, ...], ...]) -> RealMatrix:
     return [[rational(entry) for entry in row] for row in rows]
 
 
-def solve(matrix: RealMatrix, right: RealMatrix) -> RealMatrix | None:
-    """``matrix^-1 right``, exact or enclosed; None if the matrix may be singular."""
-    try:
-        if all(isinstance(entry, fmpq) for row in (*matrix, *right) for entry in row):
-            return [list(row) for row in fmpq_mat(matrix).solve(fmpq_mat(right)).tolist()]
-        return [list(row) for row in as_balls(matrix).solve(as_balls(right)).tolist()]
-    except ZeroDivisionError:
-        return None
-
-
 def shape_at(plant: Plant, point: Point, gamma: ca.SX, compensated: bool = False) -> Shape:
     """Evaluate kappa, gradient and Hessians at x*.
 
@@ -101,9 +107,12 @@ def shape_at(plant: Plant, point: Point, gamma: ca.SX, compensated: bool = False
     local = Local.of(plant, point)
     total = local.kinetic if compensated and system.mechanical is not None else local.S + ca.dot(gamma, -system.u)
     gradient = ca.gradient(total, system.x)
-    first, second, slope = local.at(gradient, ca.jacobian(gradient, system.x), ca.jacobian(gamma, system.x).T)
-    symmetric = [[second[max(i, j)][min(i, j)] for j in range(system.n)] for i in range(system.n)]
-    return Shape(kappa, tuple(row[0] for row in first), symmetric, slope)
+    first, second, slope = local.walk(gradient, ca.jacobian(gradient, system.x), ca.jacobian(gamma, system.x).T)
+    symmetric: list[SparseRow] = [{} for _ in range(system.n)]
+    for (i, j), entry in second.entries.items():
+        if i >= j:
+            symmetric[i][j] = symmetric[j][i] = entry
+    return Shape(kappa, tuple(first.column(ZERO)), symmetric, slope.dense(ZERO))
 
 
 # --- claims ------------------------------------------------------------------------------------------------------
@@ -201,7 +210,7 @@ def hessian_conditions(
     with precision(BITS):
         H = shape.hessian(stiffness)
         verdict = positive_definite(H)
-        smallest = eigenvalues(H)[0]
+        smallest = smallest_eigenvalue(H, verdict.status is Status.PROVED)
         threshold = _smallest_multiple(shape, stiffness)
         bound = None if verdict.status is not Status.PROVED else _kc_bound(shape, stiffness, H)
         kc = _kc_claim(shape, stiffness, bound, K_c)
@@ -267,9 +276,9 @@ def _smallest_multiple(shape: Shape, stiffness: RealMatrix) -> float | None:
     return 0.0 if lo == 0 else float(hi)
 
 
-def _kc_bound(shape: Shape, stiffness: RealMatrix, H: RealMatrix) -> RealMatrix | None:
+def _kc_bound(shape: Shape, stiffness: RealMatrix, H: list[SparseRow]) -> RealMatrix | None:
     NA = multiply(shape.N, stiffness)
-    solved = solve(H, NA)
+    solved = solve_positive(H, NA)
     if solved is None:
         return None
     product = multiply(transpose(NA), solved)
@@ -308,12 +317,14 @@ def _kc_claim(
     )
 
 
-def extended_hessian(shape: Shape, stiffness: RealMatrix, K_c: RealMatrix) -> RealMatrix:
+def extended_hessian(shape: Shape, stiffness: RealMatrix, K_c: RealMatrix) -> list[SparseRow]:
     """hess S_dc at (x*, 0), (n + m) x (n + m) (hessSdc)."""
-    NA = multiply(shape.N, stiffness)
-    top = [[*row, *extra] for row, extra in zip(shape.hessian(stiffness), NA, strict=True)]
-    bottom = [[*left, *right] for left, right in zip(transpose(NA), add(K_c, stiffness), strict=True)]
-    return [*top, *bottom]
+    n, result = len(shape.N), shape.hessian(stiffness)
+    result += nonzeros([[ZERO] * n + row for row in add(K_c, stiffness)])
+    for i, row in enumerate(nonzeros(multiply(shape.N, stiffness))):
+        for j, entry in row.items():
+            result[i][n + j] = result[n + j][i] = entry
+    return result
 
 
 def gain_definiteness(gains: dict[str, tuple[tuple[Fraction, ...], ...]]) -> Claim:

@@ -6,9 +6,11 @@ sign is certain.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
+from heapq import heapify, heappop, heappush
 
 import numpy as np
 from flint import arb_mat, fmpq, fmpq_mat
@@ -18,9 +20,13 @@ from pbcgen.symbolic.real import ONE, ZERO, Real, approximate, ball, in_high_pre
 
 RealMatrix = list[list[Real]]
 SparseRow = dict[int, Real]
+#: A matrix by rows, each with all entries or with those that are not exactly zero, by column.
+Rows = Sequence[list[Real]] | Sequence[SparseRow]
 
 #: Eigenvalues of larger matrices are computed in double precision where that shows all of them.
 _LARGEST_PRECISE = 40
+#: Of larger positive definite matrices only the smallest one is computed, with a sparse factorisation.
+_LARGEST_DENSE = 150
 _SHOWN_BY_DOUBLES = 1e-9
 
 
@@ -41,30 +47,68 @@ class Definiteness:
     value: Real | None = None
 
 
-def quadratic_form(matrix: RealMatrix, vector: Sequence[Fraction]) -> Real:
+def nonzeros(matrix: Rows) -> list[SparseRow]:
+    """The entries by row and column that are not exactly zero."""
+    return [
+        {j: e for j, e in (row.items() if isinstance(row, dict) else enumerate(row)) if not _vanishes(e)}
+        for row in matrix
+    ]
+
+
+def dense(rows: Sequence[SparseRow], columns: int) -> RealMatrix:
+    """The rows with all their entries."""
+    return [[row.get(j, ZERO) for j in range(columns)] for row in rows]
+
+
+def _vanishes(entry: Real) -> bool:
+    return isinstance(entry, fmpq) and entry == 0
+
+
+def quadratic_form(matrix: Rows, vector: Sequence[Fraction]) -> Real:
     """``v^T A v``."""
     v = [rational(c) for c in vector]
     total: Real = ZERO
-    for i, row in enumerate(matrix):
-        for j, entry in enumerate(row):
+    for i, row in enumerate(nonzeros(matrix)):
+        for j, entry in row.items():
             if v[i] != 0 and v[j] != 0:
                 total = total + entry * (v[i] * v[j])
     return total
 
 
-def _sparse(matrix: RealMatrix) -> dict[int, SparseRow]:
-    """The rows of the symmetric part without exact zeros."""
-    work: dict[int, SparseRow] = {i: {} for i in range(len(matrix))}
-    for i, row in enumerate(matrix):
-        for j in range(i + 1):
-            entry, mirrored = row[j], matrix[j][i]
-            if isinstance(entry, fmpq) and isinstance(mirrored, fmpq):
-                if entry != mirrored:
-                    entry = (entry + mirrored) / 2
-                if entry == 0:
-                    continue
-            work[i][j] = work[j][i] = entry
+def _symmetric_part(matrix: Rows) -> dict[int, SparseRow]:
+    """The rows of the symmetric part without exact zeros; of two balls that mirror each other the lower one."""
+    rows = nonzeros(matrix)
+    work: dict[int, SparseRow] = {i: {} for i in range(len(rows))}
+    for i, j in sorted({(max(i, j), min(i, j)) for i, row in enumerate(rows) for j in row}):
+        entry, mirrored = rows[i].get(j, ZERO), rows[j].get(i, ZERO)
+        if isinstance(entry, fmpq) and isinstance(mirrored, fmpq) and entry != mirrored:
+            entry = (entry + mirrored) / 2
+            if entry == 0:
+                continue
+        work[i][j] = work[j][i] = entry
     return work
+
+
+class _Shortest:
+    """The rows that are left, the shortest one first: the elimination then stays sparse."""
+
+    def __init__(self, work: dict[int, SparseRow]) -> None:
+        self.work = work
+        self.heap = [(len(row), k) for k, row in work.items()]
+        heapify(self.heap)
+
+    def changed(self, rows: Iterable[int]) -> None:
+        """The lengths of these rows may have changed."""
+        for k in rows:
+            heappush(self.heap, (len(self.work[k]), k))
+
+    def take(self) -> int | None:
+        """The shortest row, or None; it is not offered again until it has changed."""
+        while self.heap:
+            length, k = heappop(self.heap)
+            if k in self.work and len(self.work[k]) == length:
+                return k
+        return None
 
 
 def _eliminate(work: dict[int, SparseRow], k: int) -> SparseRow:
@@ -96,13 +140,13 @@ def _direction(multipliers: list[tuple[int, SparseRow]], stop: int, size: int) -
 
 
 @in_high_precision
-def positive_definite(matrix: RealMatrix) -> Definiteness:
+def positive_definite(matrix: Rows) -> Definiteness:
     """Whether the symmetric matrix is positive definite. A singular one is REFUTED: semidefinite is not definite."""
-    work = _sparse(matrix)
+    work = _symmetric_part(matrix)
+    queue = _Shortest(work)
     pivots: list[Real] = []
     multipliers: list[tuple[int, SparseRow]] = []
-    while work:
-        k = min(work, key=lambda i: (len(work[i]), i))
+    while (k := queue.take()) is not None:
         pivot = work[k].get(k, ZERO)
         pivots.append(pivot)
         if sign(pivot) is None:
@@ -113,18 +157,20 @@ def positive_definite(matrix: RealMatrix) -> Definiteness:
             refuted = sign(value) in (0, -1)
             return Definiteness(Status.REFUTED if refuted else Status.UNDECIDED, tuple(pivots), witness, value)
         multipliers.append((k, _eliminate(work, k)))
-    return Definiteness(Status.PROVED, tuple(pivots))
+        queue.changed(multipliers[-1][1])
+    return Definiteness(Status.UNDECIDED if work else Status.PROVED, tuple(pivots))
 
 
 @in_high_precision
-def positive_semidefinite(matrix: RealMatrix) -> Definiteness:
+def positive_semidefinite(matrix: Rows) -> Definiteness:
     """Whether the symmetric matrix is positive semidefinite; touching zero counts when it is exact.
 
     Pivots are taken from the diagonal, those of short rows first if exact, else the largest; when all that are left are
     exactly zero, so must their rows be.
     """
-    work = _sparse(matrix)
-    exact = all(isinstance(entry, fmpq) for row in matrix for entry in row)
+    work = _symmetric_part(matrix)
+    exact = all(isinstance(entry, fmpq) for row in work.values() for entry in row.values())
+    queue = _Shortest(work)
     pivots: list[Real] = []
     multipliers: list[tuple[int, SparseRow]] = []
 
@@ -137,24 +183,33 @@ def positive_semidefinite(matrix: RealMatrix) -> Definiteness:
         status = Status.REFUTED if sign(value) == -1 else Status.UNDECIDED
         return Definiteness(status, tuple(pivots), tuple(witness), value)
 
+    changed: Iterable[int] = list(work)
     while work:
-        signs = {k: sign(row.get(k, ZERO)) for k, row in work.items()}
-        negative = next((k for k in signs if signs[k] == -1), None)
+        negative = min((k for k in changed if sign(work[k].get(k, ZERO)) == -1), default=None)
         if negative is not None:
             return verdict_against((negative, Fraction(1)))
-        positive = [k for k in signs if signs[k] == 1]
-        if not positive:
+        k = _next_pivot(work, queue if exact else None)
+        if k is None:
             against = _all_pivots_vanish(work)
             if against is None:
                 return Definiteness(Status.UNDECIDED, tuple(pivots))
             return verdict_against(*against) if against else Definiteness(Status.PROVED, tuple(pivots))
-        if exact:
-            k = min(positive, key=lambda i: (len(work[i]), i))
-        else:
-            k = max(positive, key=lambda i: approximate(work[i][i]))
         pivots.append(work[k][k])
         multipliers.append((k, _eliminate(work, k)))
+        changed = multipliers[-1][1]
+        queue.changed(changed)
     return Definiteness(Status.PROVED, tuple(pivots))
+
+
+def _next_pivot(work: dict[int, SparseRow], queue: _Shortest | None) -> int | None:
+    """A row with a certainly positive diagonal entry: the shortest one from the queue, else that of the largest."""
+    if queue is None:
+        positive = [k for k, row in work.items() if sign(row.get(k, ZERO)) == 1]
+        return max(positive, key=lambda i: approximate(work[i][i]), default=None)
+    while (k := queue.take()) is not None:
+        if sign(work[k].get(k, ZERO)) == 1:
+            return k
+    return None
 
 
 def _all_pivots_vanish(work: dict[int, SparseRow]) -> list[tuple[int, Fraction]] | None:
@@ -171,18 +226,44 @@ def _all_pivots_vanish(work: dict[int, SparseRow]) -> list[tuple[int, Fraction]]
 
 
 @in_high_precision
-def eigenvalues(matrix: RealMatrix) -> list[float]:
+def eigenvalues(matrix: Rows) -> list[float]:
     """Eigenvalues of a symmetric matrix in ascending order, for display (computed with the working precision)."""
     from flint import acb_mat
 
     if not matrix:
         return []
-    if len(matrix) > _LARGEST_PRECISE:
-        doubles = np.linalg.eigvalsh(np.array([[approximate(entry) for entry in row] for row in matrix]))
+    rows = nonzeros(matrix)
+    if len(rows) > _LARGEST_PRECISE:
+        places, values = _doubles(rows)
+        middle = np.zeros((len(rows), len(rows)))
+        middle[places] = values
+        doubles = np.linalg.eigvalsh(middle)
         if np.all(np.isfinite(doubles)) and np.min(np.abs(doubles)) > _SHOWN_BY_DOUBLES * np.max(np.abs(doubles)):
             return [float(v) for v in doubles]
-    middle = acb_mat([[ball(rational(midpoint(entry))) for entry in row] for row in matrix])
-    return sorted(approximate(v.real) for v in middle.eig(algorithm="approx"))
+    centre = acb_mat([[ball(rational(midpoint(entry))) for entry in row] for row in dense(rows, len(rows))])
+    return sorted(float(midpoint(v.real)) for v in centre.eig(algorithm="approx"))
+
+
+def smallest_eigenvalue(matrix: Rows, positive: bool) -> float:
+    """The smallest eigenvalue of a symmetric matrix, for display; ``positive`` says that it is positive definite."""
+    rows = nonzeros(matrix)
+    if positive and len(rows) > _LARGEST_DENSE:
+        from scipy.sparse import csc_array
+        from scipy.sparse.linalg import ArpackError, eigsh
+
+        places, values = _doubles(rows)
+        start = np.random.default_rng(0).uniform(-1, 1, len(rows))
+        with suppress(ArpackError, RuntimeError):
+            found = eigsh(csc_array((values, places)), 1, sigma=0, v0=start, return_eigenvectors=False)
+            if found[0] > 0:
+                return float(found[0])
+    return eigenvalues(rows)[0]
+
+
+def _doubles(rows: Sequence[SparseRow]) -> tuple[tuple[list[int], list[int]], list[float]]:
+    """Rows, columns and values of the entries, rounded."""
+    places = [i for i, row in enumerate(rows) for _ in row], [j for row in rows for j in row]
+    return places, [approximate(entry) for row in rows for entry in row.values()]
 
 
 def as_balls(matrix: RealMatrix) -> arb_mat:
@@ -198,3 +279,31 @@ def inverse(matrix: RealMatrix) -> RealMatrix | None:
         return [list(row) for row in as_balls(matrix).inv().tolist()]
     except ZeroDivisionError:
         return None
+
+
+def solve_positive(matrix: Rows, right: RealMatrix) -> RealMatrix | None:
+    """``matrix^-1 right`` for a positive definite matrix, exact or enclosed; None if it may be singular."""
+    work = _symmetric_part(matrix)
+    if not all(isinstance(entry, fmpq) for row in work.values() for entry in row.values()):
+        try:
+            rows = [work[i] for i in range(len(work))]
+            return [list(row) for row in as_balls(dense(rows, len(rows))).solve(as_balls(right)).tolist()]
+        except ZeroDivisionError:
+            return None
+    queue = _Shortest(work)
+    result = [list(row) for row in right]
+    steps: list[tuple[int, Real, SparseRow]] = []
+    while (k := queue.take()) is not None:
+        pivot = work[k].get(k, ZERO)
+        if pivot == 0:
+            return None
+        factors = _eliminate(work, k)
+        queue.changed(factors)
+        steps.append((k, pivot, factors))
+        for i, factor in factors.items():
+            result[i] = [a - factor * b for a, b in zip(result[i], result[k], strict=True)]
+    for k, pivot, factors in reversed(steps):
+        result[k] = [entry / pivot for entry in result[k]]
+        for i, factor in factors.items():
+            result[k] = [a - factor * b for a, b in zip(result[k], result[i], strict=True)]
+    return result

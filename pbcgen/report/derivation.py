@@ -14,7 +14,7 @@ from pbcgen.control.derive import Derivation
 from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.shaping import Shape, diagonal, shape_at
-from pbcgen.proof.definite import eigenvalues
+from pbcgen.proof.definite import dense, eigenvalues
 from pbcgen.report.law_formulas import LAWS, formulas_of
 from pbcgen.report.mathematics import (
     Formula,
@@ -189,7 +189,7 @@ def _shaping(d: Derivation) -> Step:
         shape, stiffness = found
         formulas.append(Formula("Stiffness of the law", rf"\text{{diag}}(\alpha\beta) = {number_matrix(stiffness, 8)}"))
         with precision(BITS):
-            hessian = shape.hessian(stiffness)
+            hessian = dense(shape.hessian(stiffness), len(shape.N))
             values = eigenvalues(hessian)
         label = (
             rf"\nabla^2\left({storage}\right)_* + \nabla\gamma_* \,\text{{diag}}(\alpha\beta)\, \nabla\gamma_*^{{\top}}"
