@@ -17,7 +17,7 @@ from pbcgen.passivity.region import Region
 from pbcgen.passivity.shaping import congruence, diagonal, transpose
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.branch import Formula, formula_of, zero_set
-from pbcgen.proof.definite import RealMatrix
+from pbcgen.proof.definite import RealMatrix, dense
 from pbcgen.proof.sos import find as find_squares
 from pbcgen.proof.squares import Factor, Leaf, Square, decompose, decompose_matrix, of_programme
 from pbcgen.proof.tree import tree
@@ -241,7 +241,7 @@ def _beyond(derivation: Derivation, eta: ca.SX | None, Lambda: RealMatrix) -> li
         return None
     lift = _Lift.of(plant, structure, gamma)
     field, zero = lift.zero.field, lift.zero
-    split = constant_part(lift.dissipation)
+    split = constant_part([dict(enumerate(row)) for row in lift.dissipation])
     if split is None or not lift.matched:
         return None
     slopes = ca.jacobian(gamma if eta is None else ca.vertcat(eta, gamma), plant.system.x)
@@ -251,13 +251,14 @@ def _beyond(derivation: Derivation, eta: ca.SX | None, Lambda: RealMatrix) -> li
     if any(entry is None for row in signals for entry in row):
         return None
     taken = congruence(transpose(signals), Lambda)
-    constant = [[split[0][i][j] - taken[i][j] for j in size] for i in size]
+    least = dense(split[0], plant.system.n)
+    constant = [[least[i][j] - taken[i][j] for j in size] for i in size]
 
     def number(value: Real) -> Quotient:
         return field.const(midpoint(value))
 
     squares = decompose_matrix([[number(v) for v in row] for row in constant])
-    excess = decompose_matrix([[lift.dissipation[i][j] - number(split[0][i][j]) for j in size] for i in size])
+    excess = decompose_matrix([[lift.dissipation[i][j] - number(least[i][j]) for j in size] for i in size])
     return None if squares is None or excess is None else lift.apply([*squares, *excess])
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
 from math import lcm
 
 import casadi as ca
@@ -103,10 +104,11 @@ class Measurement:
         try:
             return self._combination(signal, name)
         except (UnsupportedOperation, ZeroDivisionError) as reason:
-            if set(_states_of(self.plant, signal)) <= set(self._direct()):
+            if set(_states_of(self.plant, signal)) <= set(self._direct):
                 return self._nonlinear(signal, name)
             return Unreadable(name, f"{reason}", None)
 
+    @cached_property
     def _direct(self) -> dict[str, ca.SX]:
         """The states that are measured as such."""
         names = self.plant.system.measured_names
@@ -122,7 +124,7 @@ class Measurement:
         field, (values,) = self.plant.exact(rest)
         value = values.scalar(field.const(0))
         affine = _affine(value.numerator.to_dict(), field.symbol_count) if value.is_polynomial() else None
-        if affine is None or any(field.names[k] not in self._direct() for k in affine):
+        if affine is None or any(field.names[k] not in self._direct for k in affine):
             return self._with_rest(rest, weights, name)
         total = {field.names[k]: fraction(c) for k, c in affine.items()}
         for key, weight in weights.items():
@@ -132,7 +134,7 @@ class Measurement:
     def _weights(self, signal: ca.SX) -> dict[str, Fraction] | None:
         """Constants c with ``e - sum c_j h_j`` independent of the states that are not measured as such."""
         system = self.plant.system
-        hidden = [k for k, name in enumerate(system.state_names) if name not in self._direct()]
+        hidden = [k for k, name in enumerate(system.state_names) if name not in self._direct]
         expressions = [name for name in system.measured_names if name not in system.state_names]
         if not hidden:
             return {}
@@ -190,7 +192,7 @@ class Measurement:
     def _nonlinear(self, signal: ca.SX, name: str) -> Reading:
         """Substitute measured states; hidden ones, on which the signal does not depend, take their target values."""
         system = self.plant.system
-        direct = self._direct()
+        direct = self._direct
         states = [
             direct[name] if name in direct else self.constant(star)
             for name, star in zip(system.state_names, self.point.x, strict=True)
@@ -214,7 +216,7 @@ class Measurement:
         return [matrix[0][0] for matrix in self.plant.at(self.point, *signals)]
 
     def _unreadable(self, signal: ca.SX, name: str) -> Unreadable:
-        hidden = [s for s in _states_of(self.plant, signal) if s not in self._direct()]
+        hidden = [s for s in _states_of(self.plant, signal) if s not in self._direct]
         reason = f"{name} depends on {', '.join(hidden)}, which the measured signals do not give"
         return Unreadable(name, reason, self._blind_direction(signal), tuple(hidden))
 

@@ -96,12 +96,11 @@ def _is_convex(situation: Situation) -> bool:
     mechanics = system.mechanical
     energy, variables = (mechanics.V, mechanics.q) if mechanics is not None else (system.S, system.x)
     try:
-        field, (hessian, slope) = plant.exact(ca.hessian(energy, variables)[0], ca.jacobian(situation.gamma, system.x))
+        _, (hessian, slope) = plant.exact(ca.hessian(energy, variables)[0], ca.jacobian(situation.gamma, system.x))
     except (UnsupportedOperation, ZeroDivisionError):
         return False
-    zero = field.const(0)
-    affine = all(entry.constant() is not None for row in slope.dense(zero) for entry in row)
-    return affine and semidefinite(hessian.dense(zero))
+    affine = all(entry.constant() is not None for entry in slope.entries.values())
+    return affine and semidefinite(hessian.rows())
 
 
 def _convex(situation: Situation) -> bool:
@@ -137,10 +136,10 @@ def _monotone(situation: Situation, found: InvariantSet) -> bool:
     slope = ca.jacobian(along, start.constant)
     total = ca.substitute((slope + slope.T) / 2 + situation.compliance, start.constant, system.u)
     try:
-        field, (values,) = plant.exact(total)
+        _, (values,) = plant.exact(total)
     except (UnsupportedOperation, ZeroDivisionError):
         return False
-    return semidefinite(values.dense(field.const(0)))
+    return semidefinite(values.rows())
 
 
 def _by_currents(situation: Situation) -> bool:

@@ -8,7 +8,7 @@ lie in the range of B0 and ``diag(Lambda_l, Lambda_c)^{-1} >= W = C B0^+ C^T``, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import floor, isfinite, log10
@@ -27,7 +27,15 @@ from pbcgen.passivity.region import Region
 from pbcgen.passivity.shaping import congruence, diagonal, exact_matrix, multiply, transpose
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import RealMatrix, eigenvalues, inverse, positive_definite, positive_semidefinite
+from pbcgen.proof.definite import (
+    RealMatrix,
+    SparseRow,
+    dense,
+    eigenvalues,
+    inverse,
+    positive_definite,
+    positive_semidefinite,
+)
 from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.proof.spot import Spots
 from pbcgen.symbolic.field import Quotient
@@ -59,7 +67,7 @@ class NaturalDampingBounds:
 class _Rows:
     """The rows of signals over v as constants, with the constant part B0 of the dissipation."""
 
-    B0: RealMatrix
+    B0: list[SparseRow]
     y: RealMatrix
     signals: list[list[Real] | None]
     complete: bool
@@ -193,8 +201,8 @@ def _candidates(plant: Plant, gamma: ca.SX) -> tuple[list[ca.SX], list[str]]:
         field, (matrix,) = plant.exact(slope)
     except (UnsupportedOperation, ZeroDivisionError):
         return [], []
-    dense = matrix.dense(field.const(0))
-    decoupled = [k for k in range(system.n) if all(row[k].is_zero() for row in dense)]
+    slopes = matrix.dense(field.const(0))
+    decoupled = [k for k in range(system.n) if all(row[k].is_zero() for row in slopes)]
     measured = [k for k in decoupled if system.state_names[k] in system.measured]
     order = measured or decoupled
     return [system.x[k] for k in order], [system.state_names[k] for k in order]
@@ -213,7 +221,7 @@ def _constant_rows(plant: Plant, structure: PowerStructure, gamma: ca.SX, signal
     except (UnsupportedOperation, ZeroDivisionError):
         return None
     zero = field.const(0)
-    split = constant_part(B.dense(zero))
+    split = constant_part(B.rows())
     if split is None:
         return None
     B0, complete = split
@@ -232,24 +240,23 @@ def _constant_rows(plant: Plant, structure: PowerStructure, gamma: ca.SX, signal
     return _Rows(B0, [[entry for entry in row if entry is not None] for row in y], found, complete)
 
 
-def constant_part(B: list[list[Quotient]]) -> tuple[RealMatrix, bool] | None:
+def constant_part(B: Sequence[Mapping[int, Quotient]]) -> tuple[list[SparseRow], bool] | None:
     """A constant B0 >= 0 with B - B0 diagonal and nonnegative, and whether B is B0.
 
     None where no such B0 was found: lowering the diagonal of B to constants may lose the sign of the whole.
     """
-    size = len(B)
-    result: RealMatrix = [[ZERO] * size for _ in range(size)]
+    result: list[SparseRow] = [{} for _ in B]
     complete = True
-    for i in range(size):
-        for j in range(size):
-            constant = B[i][j].constant()
+    for i, row in enumerate(B):
+        for j, entry in row.items():
+            constant = entry.constant()
             if constant is not None:
                 result[i][j] = constant
                 continue
             if i != j:
                 return None
             complete = False
-            result[i][i] = _constant_below(B[i][i])
+            result[i][i] = _constant_below(entry)
     if positive_semidefinite(result).status is not Status.PROVED:
         return None
     return result, complete
@@ -279,9 +286,9 @@ def _lower_bounds(function: Quotient) -> list[Fraction]:
     return sorted(found, reverse=True)
 
 
-def _range_solution(B0: RealMatrix, row: Sequence[Real]) -> list[Real] | None:
+def _range_solution(B0: Sequence[SparseRow], row: Sequence[Real]) -> list[Real] | None:
     """z with ``B0 z = row``, or None when the row is outside the range."""
-    equations = [{**dict(enumerate(line)), CONSTANT: -value} for line, value in zip(B0, row, strict=True)]
+    equations = [{**line, CONSTANT: -value} for line, value in zip(B0, row, strict=True)]
     try:
         solution = particular_solution(reduce_rows(equations), fmpq(0))
     except Inconsistent:
@@ -289,7 +296,7 @@ def _range_solution(B0: RealMatrix, row: Sequence[Real]) -> list[Real] | None:
     return [solution.get(k, fmpq(0)) for k in range(len(row))]
 
 
-def _compliance(B0: RealMatrix, rows: RealMatrix) -> RealMatrix:
+def _compliance(B0: Sequence[SparseRow], rows: RealMatrix) -> RealMatrix:
     """``W = C B0^+ C^T`` for rows C in the range of B0."""
     solutions = [_range_solution(B0, row) or [] for row in rows]
     return multiply(rows, transpose(solutions))
@@ -360,9 +367,9 @@ def dot_real(a: Sequence[Real], b: Sequence[Real]) -> Real:
     return multiply([list(a)], [[entry] for entry in b])[0][0]
 
 
-def _kernel_direction(B0: RealMatrix, row: Sequence[Real]) -> list[Real]:
+def _kernel_direction(B0: Sequence[SparseRow], row: Sequence[Real]) -> list[Real]:
     """v with ``B0 v = 0`` and ``row v = 1``; exists when the row is outside the range of the symmetric B0."""
-    equations: list[Row] = [dict(enumerate(line)) for line in B0]
+    equations: list[Row] = [dict(enumerate(line)) for line in dense(B0, len(row))]
     equations.append({**dict(enumerate(row)), CONSTANT: fmpq(-1)})
     solution = particular_solution(reduce_rows(equations), fmpq(0))
     return [solution.get(k, fmpq(0)) for k in range(len(row))]

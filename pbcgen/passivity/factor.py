@@ -13,7 +13,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-from flint import fmpq, fmpq_mat, fmpq_mpoly
+from flint import fmpq, fmpq_mpoly
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.symbolic.field import Field, Quotient
@@ -31,9 +31,9 @@ _Form = dict[Hashable, fmpq]
 
 @dataclass(frozen=True)
 class Factor:
-    """``targets = matrix * basis - remainder`` as exact functions."""
+    """``targets = matrix * basis - remainder`` as exact functions, the matrix by row and column."""
 
-    matrix: list[list[Quotient]]
+    matrix: list[dict[int, Quotient]]
     remainder: list[Quotient]
 
 
@@ -92,7 +92,7 @@ def find_factor(
         entries = _least_symmetric(field, solved, size, len(basis), len(multipliers))
     except Inconsistent:
         return None
-    return _assemble(field, entries, size, len(basis), multipliers, remainder), entries
+    return _assemble(field, entries, size, multipliers, remainder), entries
 
 
 def _unique_constant(
@@ -111,33 +111,33 @@ def _unique_constant(
     offered = [split for split in columns if split is not None]
     if any(v.constant() is None for split in (*columns, *wanted) for v in (split or {}).values()):
         return None  # a coefficient such as sqrt(2): the search over the field takes it
-    reachable = sorted({monomial for split in offered for monomial in split})
-    position = {monomial: r for r, monomial in enumerate(reachable)}
-    width = len(offered)
-    if len(reachable) < width:
-        return None
-    table = fmpq_mat(len(reachable), width + len(targets))
-    remainder = []
+    equations: dict[Monomial, Row] = {monomial: {} for monomial in sorted({m for split in offered for m in split})}
     for j, split in enumerate(offered):
         for monomial, value in split.items():
-            table[position[monomial], j] = _number(value)
+            equations[monomial][j] = _number(value)
+    remainder = []
     for i, found in enumerate(wanted):
         beyond = {}
         for monomial, value in (found or {}).items():
-            if monomial in position:
-                table[position[monomial], width + i] = _number(value)
+            if monomial in equations:
+                equations[monomial]["target", i] = _number(value)
             else:
                 beyond[monomial] = value
         if beyond and not remainder_allowed:
             return None
         remainder.append(-_recombine(field, beyond))
-    reduced, rank = table.rref()
-    if rank != width or any(reduced[j, j] != 1 for j in range(width)):
+    try:
+        solved = reduce_rows(equations.values(), {("target", i) for i in range(len(targets))})
+    except Inconsistent:
         return None
-    entries = {
-        (i, j, 0): field.const(fraction(reduced[j, width + i])) for i in range(len(targets)) for j in range(width)
-    }
-    return _assemble(field, entries, len(targets), width, multipliers, remainder), entries
+    if len(solved) < len(offered):
+        return None
+    entries: dict[Entry, Quotient] = {}
+    for unknown, row in solved.items():
+        for key, value in row.items():
+            if isinstance(key, tuple):
+                entries[key[1], int(str(unknown)), 0] = field.const(fraction(value))
+    return _assemble(field, entries, len(targets), multipliers, remainder), entries
 
 
 def refine_symbolically(
@@ -165,7 +165,7 @@ def refine_symbolically(
     except Inconsistent:
         return None
     entries = {entry: value for entry, value in solution.items() if isinstance(entry, tuple)}
-    return _assemble(field, entries, size, len(basis), multipliers, remainder)
+    return _assemble(field, entries, size, multipliers, remainder)
 
 
 def _matching_rows(
@@ -192,6 +192,10 @@ def _matching_rows(
     for at, terms in products.items():
         for monomial, value in terms.items():
             by_monomial.setdefault(monomial, {})[at] = value
+    within: list[set[Monomial]] | None = None if pattern is None else [set() for _ in targets]
+    for i, j, k in pattern or ():
+        if within is not None:
+            within[i].update(products[j, k])
     rows: list[Row] = []
     remainder = []
     for i, target in enumerate(targets):
@@ -202,9 +206,11 @@ def _matching_rows(
         if beyond and not remainder_allowed:
             return None
         remainder.append(-_recombine(field, beyond))
-        for monomial, offered in sorted(by_monomial.items()):
+        for monomial in sorted(by_monomial if within is None else {*split, *within[i]} - beyond.keys()):
             row: Row = {
-                (i, j, k): value for (j, k), value in offered.items() if pattern is None or (i, j, k) in pattern
+                (i, j, k): value
+                for (j, k), value in by_monomial[monomial].items()
+                if pattern is None or (i, j, k) in pattern
             }
             if monomial in split:
                 row[CONSTANT] = -split[monomial]
@@ -295,13 +301,11 @@ def _assemble(
     field: Field,
     entries: dict[Entry, Quotient],
     size: int,
-    width: int,
     multipliers: Sequence[Quotient],
     remainder: list[Quotient],
 ) -> Factor:
-    zero = field.const(0)
-    matrix = [[zero for _ in range(width)] for _ in range(size)]
+    matrix: list[dict[int, Quotient]] = [{} for _ in range(size)]
     for (i, j, k), value in entries.items():
         if not value.is_zero():
-            matrix[i][j] = matrix[i][j] + value * multipliers[k]
+            matrix[i][j] = matrix[i].get(j, field.const(0)) + value * multipliers[k]
     return Factor(matrix, remainder)

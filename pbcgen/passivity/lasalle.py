@@ -232,7 +232,7 @@ class _Elimination:
     def to_sx(self, element: Quotient) -> ca.SX:
         """An exact function as an expression."""
         plant = self.flow.plant
-        return element.field.to_sx(element, [*self.symbols, *ca.vertsplit(plant.parameter_symbols)], plant.number)
+        return element.field.to_sx(element, [*self.symbols, *plant.parameter_list], plant.number)
 
     # --- one equation ---------------------------------------------------------------------------------------------
 
@@ -343,7 +343,8 @@ class _Elimination:
             rest = {key: c / row[k] for key, c in row.items() if key != k}
             self._record(k, combination(field_, rest))
             for other, before in rows.items():
-                rows[other] = eliminated(before, {k: rest})
+                if k in before:
+                    rows[other] = eliminated(before, {k: rest})
             rows[k] = rest
         if rows:
             found = [self.to_sx(combination(field_, row)) for row in rows.values()]

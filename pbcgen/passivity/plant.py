@@ -74,6 +74,19 @@ class Plant:
         """The symbols of :attr:`parameter_names`, a column."""
         return ca.vertcat(ca.SX(self.system.parameters.symbols), *self._constants.values())
 
+    @cached_property
+    def _fixed(self) -> tuple[list[ca.SX], list[ca.SX]]:
+        """The states and inputs, and the parameters, one by one."""
+        system = self.system
+        columns = (system.x, system.u), (ca.SX(system.parameters.symbols),)
+        first, second = ([s for c in pair if c.numel() for s in ca.vertsplit(c)] for pair in columns)
+        return first, second
+
+    @property
+    def parameter_list(self) -> list[ca.SX]:
+        """The entries of :attr:`parameter_symbols`."""
+        return [*self._fixed[1], *self._constants.values()]
+
     @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """(x, u, parameters), the inputs of every tape."""
@@ -108,8 +121,7 @@ class Plant:
 
     def expression(self, element: Quotient) -> ca.SX:
         """An exact function of this plant's symbols as an SX expression."""
-        symbols = [s for column in self.symbols for s in ca.vertsplit(column) if column.numel()]
-        return element.field.to_sx(element, symbols, self.number)
+        return element.field.to_sx(element, [*self._fixed[0], *self.parameter_list], self.number)
 
     def tape(self, *outputs: ca.SX) -> Tape:
         """The tape of outputs that depend on (x, u, parameters)."""

@@ -122,7 +122,7 @@ def _as_expressions(plant: Plant, factor: Factor, common: Quotient) -> tuple[ca.
     size = len(factor.matrix)
     matrix, remainder = ca.SX(size, size), ca.SX(size, 1)
     for i, row in enumerate(factor.matrix):
-        for j, entry in enumerate(row):
+        for j, entry in sorted(row.items()):
             if not entry.is_zero():
                 matrix[i, j] = plant.expression(entry)
     for i, entry in enumerate(factor.remainder):
@@ -165,7 +165,7 @@ def prove(plant: Plant, structure: PowerStructure, prover: Prover | None = None)
         return StructureProof(False, False, False)
     if not identity:
         return StructureProof(False, False, False)
-    sign = semidefinite(dissipation.dense(zero), prover=prover)
+    sign = semidefinite(dissipation.rows(), prover=prover)
     return StructureProof(True, sign, prover.nonnegative(friction))
 
 
@@ -188,10 +188,10 @@ def _identity(
 def _by_construction(plant: Plant, structure: PowerStructure, prover: Prover) -> StructureProof:
     """The dissipation alone: f is written as F grad S, without remainder."""
     try:
-        field, (dissipation,) = plant.exact(structure.dissipation())
+        _, (dissipation,) = plant.exact(structure.dissipation())
     except (UnsupportedOperation, ZeroDivisionError):
         return StructureProof(True, False, True)
-    return StructureProof(True, semidefinite(dissipation.dense(field.const(0)), prover=prover), True)
+    return StructureProof(True, semidefinite(dissipation.rows(), prover=prover), True)
 
 
 def power_structure(plant: Plant) -> tuple[PowerStructure, StructureProof] | None:

@@ -76,7 +76,7 @@ def depends_on_currents(plant: Plant, gamma: ca.SX) -> bool:
     other = gamma + ca.mtimes(circuit.g_tilde.T, ca.mtimes(circuit.Xi, circuit.P_gradient))
     field, (weight, difference) = plant.exact(circuit.Xi, other)
     zero = field.const(0)
-    return definite(weight.dense(zero)) and all(entry.constant() is not None for entry in difference.column(zero))
+    return definite(weight.rows()) and all(entry.constant() is not None for entry in difference.column(zero))
 
 
 def currents(plant: Plant) -> tuple[ca.SX, list[ca.SX], list[int]]:

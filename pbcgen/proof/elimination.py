@@ -2,29 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from heapq import heappop, heappush
 
 from pbcgen.proof.nonnegative import Everywhere, Prover
 from pbcgen.symbolic.field import Quotient, TooLarge
 
+#: The rows of a matrix, each with all entries or with some, by column; the others are zero.
+Rows = Sequence[Sequence[Quotient]] | Sequence[Mapping[int, Quotient]]
 
-def _as_rows(matrix: Sequence[Sequence[Quotient]]) -> dict[int, dict[int, Quotient]]:
+
+def _as_rows(matrix: Rows) -> dict[int, dict[int, Quotient]]:
     """The nonzero entries by row and column."""
-    return {i: {j: entry for j, entry in enumerate(row) if not entry.is_zero()} for i, row in enumerate(matrix)}
+    rows = [row.items() if isinstance(row, Mapping) else enumerate(row) for row in matrix]
+    return {i: {j: entry for j, entry in row if not entry.is_zero()} for i, row in enumerate(rows)}
 
 
-def _by_cost(rows: Mapping[int, Mapping[int, Quotient]]) -> list[int]:
-    """Pivots that are numbers and have few neighbours first: the elimination then stays small."""
+class _Pivots:
+    """Pivots that are proved positive: those that are numbers and have few neighbours first, which stays sparse."""
 
-    def cost(k: int) -> tuple[bool, int, int]:
-        entry = rows[k][k]
-        return entry.constant() is None, len(rows[k]), len(entry.numerator)
+    def __init__(self, rows: Mapping[int, Mapping[int, Quotient]], prover: Prover) -> None:
+        self.rows, self.prover = rows, prover
+        self.heap: list[tuple[tuple[bool, int, int], int]] = []
+        self.changed(rows)
 
-    return sorted((k for k in rows if k in rows[k]), key=cost)
+    def _cost(self, k: int) -> tuple[bool, int, int]:
+        entry = self.rows[k][k]
+        return entry.constant() is None, len(self.rows[k]), len(entry.numerator)
+
+    def changed(self, positions: Iterable[int]) -> None:
+        """These rows are other ones now."""
+        for k in positions:
+            if k in self.rows.get(k, {}):
+                heappush(self.heap, (self._cost(k), k))
+
+    def take(self) -> int | None:
+        """The next pivot, or None; a row whose pivot is not proved is not offered again until it has changed."""
+        while self.heap:
+            cost, k = heappop(self.heap)
+            if k in self.rows.get(k, {}) and self._cost(k) == cost and self.prover.positive(self.rows[k][k]):
+                return k
+        return None
 
 
-def _eliminate(rows: dict[int, dict[int, Quotient]], pivot: int) -> None:
-    """One step of symmetric elimination; row and column ``pivot`` are removed."""
+def _eliminate(rows: dict[int, dict[int, Quotient]], pivot: int) -> list[int]:
+    """One step of symmetric elimination; row and column ``pivot`` are removed. The rows that changed are returned."""
     row = rows.pop(pivot)
     head = row.pop(pivot)
     for i in row:
@@ -38,10 +60,11 @@ def _eliminate(rows: dict[int, dict[int, Quotient]], pivot: int) -> None:
                 rows[i].pop(j, None)
             else:
                 rows[i][j] = value
+    return list(row)
 
 
 def semidefinite(
-    matrix: Sequence[Sequence[Quotient]],
+    matrix: Rows,
     positive_symbols: frozenset[int] = frozenset(),
     prover: Prover | None = None,
 ) -> bool:
@@ -58,29 +81,30 @@ def semidefinite(
 
 
 def _semidefinite(rows: dict[int, dict[int, Quotient]], prover: Prover) -> bool:
+    pivots = _Pivots(rows, prover)
+    changed: Iterable[int] = list(rows)
     while rows:
-        for k in [k for k, row in rows.items() if not row]:
-            del rows[k]
+        for k in changed:
+            if not rows[k]:
+                del rows[k]
+            elif k not in rows[k]:
+                return False
+            elif len(rows[k]) == 1:
+                if not prover.nonnegative(rows[k][k]):
+                    return False
+                del rows[k]
         if not rows:
             return True
-        if any(k not in row for k, row in rows.items()):
-            return False
-        isolated = [k for k, row in rows.items() if len(row) == 1]
-        if isolated:
-            if not all(prover.nonnegative(rows[k][k]) for k in isolated):
-                return False
-            for k in isolated:
-                del rows[k]
-            continue
-        pivot = next((k for k in _by_cost(rows) if prover.positive(rows[k][k])), None)
+        pivot = pivots.take()
         if pivot is None:
             return False
-        _eliminate(rows, pivot)
+        changed = _eliminate(rows, pivot)
+        pivots.changed(changed)
     return True
 
 
 def definite(
-    matrix: Sequence[Sequence[Quotient]],
+    matrix: Rows,
     positive_symbols: frozenset[int] = frozenset(),
     prover: Prover | None = None,
 ) -> bool:
@@ -93,13 +117,12 @@ def definite(
 
 
 def _definite(rows: dict[int, dict[int, Quotient]], prover: Prover) -> bool:
+    pivots = _Pivots(rows, prover)
     while rows:
-        if any(k not in row for k, row in rows.items()):
-            return False
-        pivot = next((k for k in _by_cost(rows) if prover.positive(rows[k][k])), None)
+        pivot = pivots.take()
         if pivot is None:
             return False
-        _eliminate(rows, pivot)
+        pivots.changed(_eliminate(rows, pivot))
     return True
 
 

@@ -20,6 +20,7 @@ from flint import fmpq, fmpq_mpoly, fmpq_mpoly_ctx
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.symbolic.real import fraction, rational
 from pbcgen.symbolic.tape import Matrix, Tape, exact_decimal
+from pbcgen.symbolic.terms import terms
 
 #: Multiples of an angle or exponent beyond this are kept as separate atoms instead of being expanded.
 _LARGEST_MULTIPLE = 24
@@ -205,8 +206,8 @@ class Field:
             else:
                 kept[exponents] = coefficient
         total = self.context.from_dict(kept)
-        for half, terms in by_half.items():
-            total += self.context.from_dict(terms) * square**half
+        for half, rest_terms in by_half.items():
+            total += self.context.from_dict(rest_terms) * square**half
         return total
 
     # --- atoms --------------------------------------------------------------------------------------------
@@ -405,9 +406,11 @@ class Field:
                 CasADi would round another one; else UnsupportedOperation is raised.
         """
         make = number or _decimal_number
-        cache: dict[int, ca.SX] = dict(enumerate(symbols[: self.symbol_count]))
+        cache: dict[int, ca.SX] = {}
 
         def generator(k: int) -> ca.SX:
+            if k < self.symbol_count:
+                return symbols[k]
             if k not in cache:
                 atom = self.atoms[k]
                 cache[k] = getattr(ca, atom.kind)(expression(atom.argument))
@@ -415,8 +418,8 @@ class Field:
 
         def polynomial(p: fmpq_mpoly) -> ca.SX:
             total = ca.SX(0)
-            for exponents, coefficient in p.to_dict().items():
-                factors = [generator(k) ** int(e) for k, e in enumerate(exponents) if e]
+            for powers, coefficient in terms(p):
+                factors = [generator(k) ** e for k, e in powers]
                 value = fraction(coefficient)
                 if not factors:
                     total = total + make(value)

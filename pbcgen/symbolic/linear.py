@@ -5,7 +5,7 @@ An equation is a sparse row ``{unknown: coefficient, CONSTANT: c}`` that stands 
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Container, Hashable, Iterable, Mapping
 from heapq import heapify, heappop, heappush
 from typing import Any
 
@@ -81,8 +81,14 @@ class _Rows:
         return changed
 
 
-def reduce_rows(rows: Iterable[Mapping[Hashable, Any]]) -> dict[Hashable, Row]:
+def reduce_rows(
+    rows: Iterable[Mapping[Hashable, Any]], known: Container[Hashable] = frozenset()
+) -> dict[Hashable, Row]:
     """Reduced row echelon form, shortest rows first.
+
+    Args:
+        rows: the equations.
+        known: keys that are no unknowns but, like the constant term, parts of the right-hand side.
 
     Returns:
         For each pivot unknown its row with pivot coefficient one, free of the other pivots: the unknown equals minus
@@ -100,10 +106,10 @@ def reduce_rows(rows: Iterable[Mapping[Hashable, Any]]) -> dict[Hashable, Row]:
         if -minus not in waiting.rows or len(waiting.rows[-minus]) != length:
             continue
         row = waiting.take(-minus)
-        unknowns = [key for key in row if key != CONSTANT]
+        unknowns = [key for key in row if key != CONSTANT and key not in known]
         if not unknowns:
             if row:
-                raise Inconsistent(row[CONSTANT])
+                raise Inconsistent(next(iter(row.values())))
             continue
         pivot = min(unknowns, key=lambda key: (_cost(row[key]), str(key)))
         scale = row[pivot]

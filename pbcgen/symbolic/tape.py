@@ -129,11 +129,18 @@ class Matrix(Generic[T]):
         rows, columns = self.shape
         return [[self.entries.get((i, j), zero) for j in range(columns)] for i in range(rows)]
 
+    def rows(self) -> list[dict[int, T]]:
+        """The entries by row and column, without the structural zeros."""
+        found: list[dict[int, T]] = [{} for _ in range(self.shape[0])]
+        for (i, j), entry in sorted(self.entries.items(), key=lambda item: item[0]):
+            found[i][j] = entry
+        return found
+
     def column(self, zero: T) -> list[T]:
         """The entries of a one-column matrix (ValueError for other shapes)."""
         if self.shape[1] != 1:
             raise ValueError(f"a column was expected, the shape is {self.shape}")
-        return [row[0] for row in self.dense(zero)]
+        return [self.entries.get((i, 0), zero) for i in range(self.shape[0])]
 
     def scalar(self, zero: T) -> T:
         """The only entry of a 1x1 matrix (ValueError for other shapes)."""
