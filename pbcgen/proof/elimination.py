@@ -134,15 +134,16 @@ def positivity_conditions(matrix: Sequence[Sequence[Quotient]], prover: Prover |
     """
     prover = prover or Everywhere()
     rows = _as_rows(matrix)
+    pivots = _Pivots(rows, prover)
     zero = matrix[0][0].field.const(0)
     left = []
     while rows:
-        sure = next((k for k in _by_cost(rows) if prover.positive(rows[k][k])), None)
+        sure = pivots.take()
         pivot = next(iter(rows)) if sure is None else sure
         head = rows[pivot].get(pivot, zero)
         if sure is None:
             left.append(head)
         if head.is_zero():
             break
-        _eliminate(rows, pivot)
+        pivots.changed(_eliminate(rows, pivot))
     return left
