@@ -11,11 +11,12 @@ So it is enough that the left side is never negative, and that U and gamma fix t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import casadi as ca
 from flint import fmpq
 
+from pbcgen.control.rest_box import only_in_a_box
+from pbcgen.control.rest_set import RestSet
 from pbcgen.control.situation import Situation
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.coordinates import injective
@@ -54,7 +55,7 @@ def only_rest(situation: Situation) -> str | None:
         )
     if _by_currents(situation):
         return "gamma is a monotone function of the input at every rest, and grad P has each value at one state only"
-    return _along_the_set(situation, found)
+    return _along_the_set(situation, found) or _in_a_box(situation, found)
 
 
 def _one_to_one(situation: Situation, found: InvariantSet) -> bool:
@@ -153,47 +154,11 @@ def _by_currents(situation: Situation) -> bool:
         return False
 
 
-@dataclass(frozen=True, eq=False)
-class _Along:
-    """The invariant set by its free coordinates z.
-
-    Attributes:
-        z: the states and constant inputs that are left.
-        inputs: all constant inputs as functions of z, m x 1.
-        outputs: gamma there, plus ``K_c^{-1}`` times the inputs, m x 1.
-        zero: functions that vanish on the set, a column.
-    """
-
-    z: list[ca.SX]
-    inputs: ca.SX
-    outputs: ca.SX
-    zero: ca.SX
-
-
-def _along(situation: Situation, found: InvariantSet) -> _Along:
-    system, start = situation.plant.system, situation.flow
-    assert start is not None
-    constant = ca.vertsplit(start.constant)
-    replaced = [system.x[k] for k in found.solved] + [constant[j] for j in found.inputs]
-    values = [*found.solved.values(), *found.inputs.values()]
-    expressions = [
-        start.constant,
-        situation.gamma + ca.mtimes(situation.compliance, start.constant),
-        ca.vertcat(ca.SX(0, 1), *found.pending),
-    ]
-    if replaced:
-        old, new = ca.vertcat(*replaced), ca.densify(ca.vertcat(*values))
-        expressions = [ca.substitute(e, old, new) for e in expressions]
-    expressions = [ca.substitute(e, start.constant, system.u) for e in expressions]
-    z = [system.x[k] for k in found.free] + [system.u[j] for j in range(system.m) if j not in found.inputs]
-    return _Along(z, *expressions)
-
-
 def _along_the_set(situation: Situation, found: InvariantSet) -> str | None:
     """Whether inputs and outputs increase together along the set, and fix its points."""
     plant = situation.plant
     try:
-        along = _along(situation, found)
+        along = RestSet.of(situation, found)
         functions = ca.vertcat(along.inputs, along.outputs, along.zero)
         if (not along.z or _increase_together(situation, along)) and injective(plant, functions, along.z):
             steps = "; ".join(found.steps)
@@ -203,7 +168,19 @@ def _along_the_set(situation: Situation, found: InvariantSet) -> str | None:
     return None
 
 
-def _increase_together(situation: Situation, along: _Along) -> bool:
+def _in_a_box(situation: Situation, found: InvariantSet) -> str | None:
+    """Whether bounded functions keep every rest in a box, where branch and bound finds x* only."""
+    try:
+        box = only_in_a_box(situation, RestSet.of(situation, found))
+    except (UnsupportedOperation, ZeroDivisionError):
+        return None
+    if box is None:
+        return None
+    steps = "; ".join(found.steps)
+    return f"the invariant set consists of equilibria ({steps}); all of them have {box}, where x* is alone"
+
+
+def _increase_together(situation: Situation, along: RestSet) -> bool:
     """Whether ``(U1 - U2)^T (Gamma1 - Gamma2) >= 0`` for any two points z; Gamma includes ``K_c^{-1} U``.
 
     One of them is a constant matrix times the other, or affine in z, which leaves a matrix to be semidefinite at each
