@@ -20,6 +20,8 @@ from pbcgen.symbolic.real import text
 _LONGEST = 200
 _MOST = 4
 _LARGEST_MINOR = 6
+#: Conditions of more terms are not factored.
+_MOST_TERMS = 200
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,8 @@ def condition(wide: Wide, functions: Sequence[Quotient], gains: Sequence[Gain] =
     parts = []
     try:
         for function in functions:
+            if len(function.numerator) * len(function.denominator) > _MOST_TERMS:
+                return ""
             essential = _without_sign(function, known)
             known.append(essential.numerator)
             parts.append(_shown(wide, essential))

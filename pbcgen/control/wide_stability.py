@@ -34,6 +34,8 @@ _LARGEST_ROUTH = 6
 #: Conditions are shown for closed loops up to this size; entries with more terms are not tested for their sign.
 _LARGEST_SHOWN = 4
 _MOST_TERMS = 400
+#: Instructions that the elimination of LaSalle's set may look at, per state: symbolic coefficients take their time.
+_BUDGET_PER_STATE = 600
 #: Atoms with bounded values.
 _BOUNDED_KINDS = frozenset({"sin", "cos", "tanh", "erf", "atan"})
 
@@ -137,7 +139,11 @@ class Stability:
     def resting(self) -> InvariantSet | None:
         """What is left of the set where the Lyapunov function rests, or None if that is not known."""
         try:
-            return None if self.flow is None else invariant_set(self.flow)
+            return (
+                None
+                if self.flow is None
+                else invariant_set(self.flow, budget=_BUDGET_PER_STATE * self.wide.plant.system.n)
+            )
         except GIVE_UP:
             return None
 

@@ -200,6 +200,7 @@ class _Elimination:
     pending: list[ca.SX] = field(default_factory=list)
     relations: list[ca.SX] = field(default_factory=list)
     steps: list[str] = field(default_factory=list)
+    budget: int = _BUDGET
     spent: int = 0
     resting: bool = False
 
@@ -220,7 +221,7 @@ class _Elimination:
         parameters = plant.parameter_symbols
         tape = Tape.of([ca.vertcat(*self.symbols), parameters], [ca.vertcat(*expressions)])
         self.spent += len(tape.instructions)
-        if self.spent > _BUDGET or len(tape.instructions) > _LARGEST_TAPE * len(expressions):
+        if self.spent > self.budget or len(tape.instructions) > _LARGEST_TAPE * len(expressions):
             raise UnsupportedOperation("the equations of the invariant set grow too large")
         names = [*self.names, *plant.parameter_names]
         field_, (values,) = evaluate(tape, names, plant.values)
@@ -412,13 +413,16 @@ class _Elimination:
         self.steps.append(f"{self.names[k]} = 0")
 
 
-def invariant_set(flow_: Flow, fixed: ca.SX | None = None, extra: ca.SX | None = None) -> InvariantSet:
+def invariant_set(
+    flow_: Flow, fixed: ca.SX | None = None, extra: ca.SX | None = None, budget: int = _BUDGET
+) -> InvariantSet:
     """Eliminate as far as possible.
 
     Args:
         flow_: the flow and its base equations.
         fixed: exact values of ubar, when they are known.
         extra: further equations that hold on the set, a column.
+        budget: instructions of all the expressions that may be looked at.
 
     Raises:
         UnsupportedOperation: for models that are not analytic, and when the equations grow beyond the budget.
@@ -433,7 +437,7 @@ def invariant_set(flow_: Flow, fixed: ca.SX | None = None, extra: ca.SX | None =
         drift = ca.substitute(drift, flow_.constant, fixed)
     symbols = [*ca.vertsplit(plant.system.x), *ca.vertsplit(flow_.constant)]
     names = [*plant.system.state_names, *[f"ubar_{i + 1}" if m > 1 else "ubar" for i in range(m)]]
-    work = _Elimination(Flow(plant, flow_.constant, drift, base), names, symbols)
+    work = _Elimination(Flow(plant, flow_.constant, drift, base), names, symbols, budget=budget)
     closed = work.run()
     n = plant.system.n
     resting = work.resting or (closed and not work.nonzero(ca.vertsplit(drift)))
