@@ -11,10 +11,11 @@ import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.affine import AffineSystem
+from pbcgen.models.numbers import is_short
 from pbcgen.passivity.construction import gradient_by_construction
 from pbcgen.symbolic.field import Field, Quotient, evaluate
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, reals
-from pbcgen.symbolic.tape import Matrix, Tape, exact_decimal
+from pbcgen.symbolic.tape import Matrix, Tape
 
 
 @dataclass(frozen=True)
@@ -107,10 +108,13 @@ class Plant:
     def number(self, value: Fraction) -> ca.SX:
         """An exact number for use in expressions.
 
-        CasADi rounds constants to doubles, so a fraction that is no short decimal becomes a symbol with this value.
+        CasADi adds and multiplies constants in doubles: 0.7 + 0.1 is not 0.8 then. So only fractions
+        of few bits, with which this is exact, stay numbers; others become symbols with this value.
         """
-        if exact_decimal(float(value)) == value:
+        if is_short(value):
             return ca.SX(float(value))
+        if value < 0:
+            return -self.number(-value)
         if value not in self._constants:
             self._constants[value] = ca.SX.sym(_constant_name(value))
         return self._constants[value]

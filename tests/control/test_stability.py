@@ -1,7 +1,5 @@
 """Stable, asymptotically stable, global: the right status, and none that contradicts another."""
 
-import time
-
 import casadi as ca
 import pytest
 
@@ -46,11 +44,9 @@ def test_a_growing_nonlinearity_with_eigenvalue_zero_is_not_proved(power):
 @pytest.mark.system
 def test_an_undamped_symmetric_mode_is_stable_and_not_asymptotically_stable():
     """Two equal pendulums, the same force on both: the motion against each other is not seen."""
-    start = time.perf_counter()
     claims = _claims(_pendulums([1, 1], [0, 0]), {"q1": 0, "q2": 0}, alpha=5)
     assert claims["stable"].status is PROVED
     assert claims["asymptotically-stable"].status is not PROVED
-    assert time.perf_counter() - start < 20
 
 
 def test_damping_of_one_pendulum_reaches_the_symmetric_mode():

@@ -45,3 +45,16 @@ def test_parameters_mend_it():
 def test_a_defect_beyond_rounding_is_refuted_all_the_same(friction):
     claim = assumption_1(_lossless(2**0.5, 3**0.5, 0.3**0.5, friction)).claim
     assert claim.status is Status.REFUTED
+
+
+@pytest.mark.parametrize(
+    ("friction", "status"),
+    [("0.4", Status.PROVED), ("0.40000000000000001", Status.PROVED), ("0.39999999999999999", Status.REFUTED)],
+)
+def test_the_symmetric_part_of_a_factor_is_not_rounded(friction, status):
+    """B = [[0.4, 0.4], [0.4, friction]], where 0.4 = (0.7 + 0.1) / 2, which doubles make 0.39999999999999997."""
+    x, p = ca.SX.sym("x", 2), Parameters(friction=friction)
+    S = 1.3 * x[0] ** 4 / 4 + x[0] ** 2 / 2 + x[1] ** 2 / 2
+    f = [-(0.52 * x[0] ** 3 + 0.4 * x[0]) - 0.7 * x[1], -(0.13 * x[0] ** 3 + 0.1 * x[0]) - p.friction * x[1]]
+    claim = assumption_1(Plant(AffineSystem(x, [ca.SX.sym("u")], f, [0, 1], S, parameters=p))).claim
+    assert claim.status is status
