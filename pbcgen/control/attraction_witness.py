@@ -24,6 +24,8 @@ from pbcgen.verify.stability import Stability
 Steps = list[list[Any]]
 #: Rounds of Lie derivatives, as a multiple of the number of states, and the size of equations that are given up.
 _ROUNDS, _MOST_TERMS = 3, 300
+#: What is added to a storage that shall be a sum of squares.
+_CONSTANTS = (0, 1, 100, 10**6)
 #: Atoms that a function may have to be taken to the prover's field.
 _ATOMS = 96
 
@@ -278,9 +280,9 @@ def growth(
     coordinates, others = ordered
     rows = [{} if o else _combination(g, squares, terms) for g, o in zip(gamma, outgrown, strict=True)]
     excess = _excess(field, rest, terms)
-    excess += [[str(s.number()), [], [terms.function(t)]] for s, t in others]
-    if any(row is None for row in rows):
+    if excess is None or any(row is None for row in rows):
         return None
+    excess = excess + [[str(s.number()), [], [terms.function(t)]] for s, t in others]
     return {"coordinates": coordinates, "linear": [str(v) for v in linear], "rows": rows, "excess": excess}
 
 
@@ -409,11 +411,11 @@ def _combination(
     return None if weights is None else {str(terms.function(basis[k])): str(c) for k, c in weights.items()}
 
 
-def _excess(field: Field, rest: Function, terms: Writing) -> list[list[Any]]:
-    """Terms of the storage that are nowhere negative and not bounded: squares, times exponentials and roots."""
-    found = []
+def _excess(field: Field, rest: Function, terms: Writing) -> list[list[Any]] | None:
+    """Squares that leave bounded terms of the storage: its terms one by one, else all of it and a constant."""
+    found, left = [], rest
     for exponents, c in rest.top.to_dict().items() if rest.bottom.is_constant() else ():
-        term = field.quotient(field.ctx.from_dict({exponents: c}), field.one)
+        term = field.quotient(field.ctx.from_dict({exponents: c}), rest.bottom)
         if field.bounded(term) or c <= 0:
             continue
         odd = [k for k, e in enumerate(exponents) if e % 2]
@@ -422,4 +424,11 @@ def _excess(field: Field, rest: Function, terms: Writing) -> list[list[Any]]:
             factors = [[kind, terms.function(argument), None, True] for (kind, _, _), argument in atoms]
             half = field.quotient(field.ctx.from_dict({tuple(e // 2 for e in exponents): fmpq(1)}), field.one)
             found.append([str(c), factors, [terms.function(half)]])
-    return found
+            left = left - term
+    if field.bounded(left):
+        return found
+    for constant in _CONSTANTS:
+        squares = in_squares(field, [[rest + fmpq(constant)]], terms)
+        if squares is not None:
+            return squares
+    return None

@@ -127,6 +127,7 @@ def _polynomial(
     found = _by_pairs(field, polynomial, known, depth)
     found = found if found is not None else _by_factors(field, polynomial, known, depth, leaf)
     found = found if found is not None else _by_ends(field, polynomial, known, depth)
+    found = found if found is not None else _by_square_of_bounded(field, polynomial, known, depth)
     found = found if found is not None else _by_falling_exponential(field, polynomial, known, depth)
     return found if found is not None or leaf is None else leaf(field, polynomial)
 
@@ -207,6 +208,25 @@ def _by_ends(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> 
         spread = Square(fmpq(1, 4), (Factor(field.atoms[k].kind, field.atoms[k].argument, None),), (one,))
         result += _product([toward, spread], squares)
     return result
+
+
+def _by_square_of_bounded(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> list[Square] | None:
+    """``p + q T^2 = (1 - T^2) p + T^2 (p + q)`` with T in [-1, 1]."""
+    for k in sorted(known.bounded):
+        split: dict[int, dict[Exponents, fmpq]] = {}
+        for raw, coefficient in polynomial.to_dict().items():
+            exponents = tuple(int(e) for e in raw)
+            split.setdefault(exponents[k], {})[(*exponents[:k], 0, *exponents[k + 1 :])] = coefficient
+        if not {2} <= {*split} <= {0, 2}:
+            continue
+        p, q = (field.context.from_dict(split.get(power, {})) for power in (0, 2))
+        below, above = (_polynomial(field, value, known, depth - 1) for value in (p, p + q))
+        if below is None or above is None:
+            continue
+        one, T = field.const(1), field.polynomial(field.context.gens()[k])
+        spread = Square(fmpq(1), (Factor(field.atoms[k].kind, field.atoms[k].argument, None),), (one,))
+        return _product([spread], below) + _product([Square(fmpq(1), (), (T,))], above)
+    return None
 
 
 def _by_falling_exponential(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) -> list[Square] | None:
