@@ -15,15 +15,17 @@ from pbcgen.proof.squares import decompose_matrix
 from pbcgen.symbolic.field import Field as Algebra
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
-from pbcgen.symbolic.plain.elimination import Elimination, slopes
-from pbcgen.symbolic.plain.formulas import Formulas
-from pbcgen.symbolic.plain.values import NONNEGATIVE, ODD, Field, Function
+from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
+from pbcgen.symbolic.plain.formulas import Formulas, rational
+from pbcgen.symbolic.plain.values import NONNEGATIVE, ODD, Field, Function, sign
 from pbcgen.symbolic.real import fraction
 from pbcgen.verify.stability import Stability
 
 Steps = list[list[Any]]
 #: Rounds of Lie derivatives, as a multiple of the number of states, and the size of equations that are given up.
 _ROUNDS, _MOST_TERMS = 3, 300
+#: Slopes that the currents of a circuit may have at least.
+_LEAST_SLOPES = ("1/100", "1/100000", "1/1000000000")
 #: What is added to a storage that shall be a sum of squares.
 _CONSTANTS = (0, 1, 100, 10**6)
 #: Atoms that a function may have to be taken to the prover's field.
@@ -59,9 +61,9 @@ def _weights(function: Function, others: Sequence[Function], up_to_constant: boo
     if up_to_constant and not common.is_constant():
         return None
     rows: dict[Any, Row] = {}
-    for key, sign, f in ((CONSTANT, -1, function), *((k, 1, other) for k, other in enumerate(others))):
+    for key, side, f in ((CONSTANT, -1, function), *((k, 1, other) for k, other in enumerate(others))):
         for exponents, c in (f.top * (common / f.bottom)).to_dict().items():
-            rows.setdefault(exponents, {})[key] = c * sign
+            rows.setdefault(exponents, {})[key] = c * side
     try:
         solution = particular_solution(
             reduce_rows([row for e, row in rows.items() if any(e) or not up_to_constant]), fmpq(0)
@@ -284,6 +286,47 @@ def growth(
         return None
     excess = excess + [[str(s.number()), [], [terms.function(t)]] for s, t in others]
     return {"coordinates": coordinates, "linear": [str(v) for v in linear], "rows": rows, "excess": excess}
+
+
+def monotone(
+    system: Stability,
+    terms: Writing,
+    currents: Sequence[Function],
+    weight: Sequence[Sequence[fmpq]],
+    charges: Sequence[Sequence[fmpq | None]],
+) -> dict[str, Any] | None:
+    """For a circuit whose currents w grow with the state: the squares that show it, or None.
+
+    Args:
+        system: the design as the checker reads it.
+        terms: takes the formulas.
+        currents: w with ``S = w^T weight w / 2``.
+        weight: Xi, constant.
+        charges: Q with ``Q f = w``.
+    """
+    field, n = system.field, system.n
+    rows = [_weights(g, currents, up_to_constant=True) for g in system.column("gamma")]
+    if any(row is None for row in rows) or any(v is None for row in charges for v in row):
+        return None
+    J = [slopes(field, w)[:n] for w in currents]
+    signs = [1 if (v := _sign_at_zero(field, J[i][i])) is None or v > 0 else -1 for i in range(n)]
+    J = [[v * s for v in row] for row, s in zip(J, signs, strict=True)]
+    for least in _LEAST_SLOPES:
+        margin = [[(J[i][j] + J[j][i]) / 2 - rational(least) * int(i == j) for j in range(n)] for i in range(n)]
+        squares = in_squares(field, margin, terms)
+        if squares is None:
+            continue
+        zero = terms.put("constant 0")
+        N = [[terms.put(f"constant {fraction(v)}") if v else zero for v in row] for row in charges]
+        R = [[str((row or {}).get(k, fmpq(0))) for k in range(n)] for row in rows]
+        found = {"w": [terms.function(w) for w in currents], "N": N, "R": R, "signs": signs, "least": least}
+        return {"currents": found | {"Xi": [[str(v) for v in row] for row in weight]}, "squares": squares}
+    return None
+
+
+def _sign_at_zero(field: Field, value: Function) -> int | None:
+    point = [fmpq(0)] * len(field.symbols)
+    return sign(put_in(field, value, point))
 
 
 def _less(value: Function, squares: Sequence[tuple[Function, Function]]) -> Function:

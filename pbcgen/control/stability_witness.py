@@ -11,7 +11,7 @@ import numpy as np
 from flint import arb, arb_mat, ctx, fmpq
 
 from pbcgen.control import velocity_witness
-from pbcgen.control.attraction_witness import eliminate, growth, read, steps_to_rest, uniqueness
+from pbcgen.control.attraction_witness import eliminate, growth, monotone, read, steps_to_rest, uniqueness
 from pbcgen.control.derive import Derivation
 from pbcgen.control.dissipation_witness import sampled_damping
 from pbcgen.control.settings_witness import adjustable
@@ -202,9 +202,20 @@ class _Work:
             grown = growth(self.system, self.terms, [], [])
         found = steps_to_rest(self.system, self.terms)
         alone = None if found is None else uniqueness(self.system, found[0], self.terms, self._power)
+        if found is not None and circuit is not None and (grown is None or alone is None):
+            by_currents = monotone(self.system, self.terms, currents, weight, self._charges())
+            return None if by_currents is None else found[1] | by_currents
         if grown is None or found is None or alone is None:
             return None
         return grown | found[1] | alone
+
+    def _charges(self) -> list[list[Any]]:
+        """Q of a circuit, with ``Q x' = grad P + g_tilde u``."""
+        circuit, plant = self.derivation.plant.system.circuit, self.derivation.plant
+        assert circuit is not None
+        _, (Q,) = plant.exact(circuit.Q)
+        zero = Q.entries[next(iter(Q.entries))].field.const(0)
+        return [[v.constant() for v in row] for row in Q.dense(zero)]
 
     def _factors(self) -> list[tuple[Function, Function]]:
         """The kinetic energy as squares where M came as ``sum J^T W J`` with W diagonal, for systems read in (q, v)."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from flint import fmpq
 
-from pbcgen.reading.settings import Family
+from pbcgen.reading.growth import Growth
 from pbcgen.reading.system import require
 from pbcgen.symbolic.plain.boxes import shown
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
@@ -23,7 +23,7 @@ _ELSEWHERE = {"all x where the model is defined", "at x*", "near x*", "all input
 _ELSEWHERE |= {"sampled loop", "sampled loop, all x"}
 
 
-class Assumptions(Family):
+class Assumptions(Growth):
     """One method for each claim and status; it raises Fails unless the certificate shows the claim."""
 
     def reaches(self, claim: str) -> bool:

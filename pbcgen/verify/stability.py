@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 from flint import arb_mat, fmpq
 
+from pbcgen.reading.growth import GLOBAL as _GLOBAL
 from pbcgen.reading.system import require
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.formulas import rational
-from pbcgen.symbolic.plain.growth import spans
 from pbcgen.symbolic.plain.matrices import (
-    Matrix,
     blocks,
     diagonal,
     dot,
@@ -27,8 +24,6 @@ from pbcgen.symbolic.plain.matrices import (
 )
 from pbcgen.symbolic.plain.values import NotCheckable, sign
 from pbcgen.verify.assumptions import Assumptions
-
-_GLOBAL = "globally-asymptotically-stable"
 
 
 class Stability(Assumptions):
@@ -132,9 +127,12 @@ class Stability(Assumptions):
         require({self.domain[c] for c in ("assumption-1", "passive-output")} == {"all x"}, "it holds on a domain only")
         if "steps" not in self.witness[claim]:
             raise NotCheckable("the certificate does not hold the chain of implications")
-        self.grows(self.witness[claim])
+        if "currents" not in self.witness[claim]:
+            self.grows(self.witness[claim])
         chain, n = self.chain(claim), self.n
-        if "power" in self.witness[claim]:
+        if "currents" in self.witness[claim]:
+            require(is_definite(self.by_currents(self.witness[claim]["currents"]), semi=True), "(rest) is not monotone")
+        elif "power" in self.witness[claim]:
             self.nonnegative(self.convex_part(chain, self.witness[claim]["power"]), claim)
         elif "squares" in self.witness[claim]:  # (rest) is monotone in the constant input
             require({*chain.solved} >= {*range(n)}, "a state is left over")
@@ -146,50 +144,6 @@ class Stability(Assumptions):
             self.follow(chain, self.witness[claim]["then"])
             require([chain.solved[k].number() for k in range(n)] == self.settled, "x* may not be the only rest")
         require(self.field.entire() and (not self.inertia or self.solved), "the model may not be smooth everywhere")
-
-    def convex_part(self, chain: Elimination, places: Sequence[Sequence[int | None]]) -> Matrix:
-        """The Hessian of S in the states that are not at their values of x* at every rest.
-
-        There ``grad S - grad gamma u = N (f + g u) = 0``. Where S is convex and gamma affine, a rest with u = u* + w
-        would have ``w^T (gamma - gamma*) >= 0``, and (rest) has the other sign unless w = 0.
-        """
-        N, S = [self.vector(row) for row in places], self.column("S")[0]
-        balance = plus(transpose(self.slope("S")), product(N, self.functions("f")), -1)
-        follows = plus(transpose(self.slope("gamma")), product(N, self.functions("g")))
-        require(not self.compensated and not self.inertia, "the storage is not the Lyapunov function's")
-        self.zero([v for row in (*balance, *follows) for v in row], "grad S does not vanish at rest")
-        require(all(v.number() is not None for row in self.slope("gamma") for v in row), "gamma is not affine")
-        fixed = {k: v for k, v in chain.solved.items() if k < self.n and v.number() == self.point[0][k]}
-        S = self.field.lift(put_in(self.field, S, [fixed.get(k, v) for k, v in enumerate(self.field.symbols)]))
-        free = [k for k in range(self.n) if k not in fixed]
-        return [[slopes(self.field, slopes(self.field, S)[i])[j] for j in free] for i in free]
-
-    def grows(self, witness: Any) -> None:
-        """The Lyapunov function is radially unbounded.
-
-        The storage is ``sum s_i t_i^2 + sum lambda_j gamma_j``, squares, and bounded terms. Each t_i, and each gamma_j
-        whose ln cosh outgrows ``lambda_j - u_j*``, is a coordinate: it gives one more state in terms of the earlier.
-        """
-        V = self.potential(self.field.symbols[: self.half], self.field.lift) if self.compensated else 0
-        rest, gamma, one = self.column("S")[0] - V, self.column("gamma"), self.field.lift(1)
-        linear = self.given(_GLOBAL, "linear")
-        force = [a if self.compensated else a - u for a, u in zip(linear, self.point[1], strict=True)]
-        outgrown = [sign(a - abs(v)) == 1 for a, v in zip(self.model.vector("alpha"), force, strict=True)]
-        found = witness["coordinates"]
-        coordinates = [(one, gamma[i], k) if w is None else (self.placed[w], self.placed[i], k) for w, i, k in found]
-        require(spans(self.field, self.n, coordinates), "these are no coordinates")
-        require(all(outgrown[i] for w, i, _ in found if w is None), "ln cosh does not outgrow the linear terms")
-        for (w, _, _), (s, t, _) in zip(found, coordinates, strict=True):
-            rest = rest if w is None else rest - s * t * t
-        steady = {place for w, place, _ in found if w is not None and self.placed[w].number()}
-        for j, row in enumerate(witness["rows"]):  # gamma_j is affine in these coordinates, or ln cosh outgrows it
-            rest = rest - gamma[j] * linear[j]
-            affine = gamma[j] - sum((self.placed[int(p)] * rational(c) for p, c in row.items()), fmpq(0))
-            slow = steady >= {int(p) for p in row} and self.field.lift(affine).number() is not None
-            require(outgrown[j] or slow, "gamma may outgrow the storage")
-        require(
-            self.field.bounded(self.without_squares([[self.field.lift(rest)]], _GLOBAL, "excess")[0][0]), "more grows"
-        )
 
     def refuted_globally_asymptotically_stable(self) -> None:
         """x* is not attractive, or there is another equilibrium: by Krawczyk's test, apart from x*."""

@@ -247,6 +247,28 @@ def five_links():
     return planar_arm(5)
 
 
+def cubic_load(load=lambda v: v / 20 + v**3 / 500):
+    """A circuit whose currents grow with its state, faster than any form: nothing but their slopes fixes the rest."""
+    p = Parameters(L="1e-3", C="1e-4", r="0.5")
+    i, v = _symbols("i", "v")
+    circuit = Circuit([i], [v], L=[p.L], C=[p.C], Gamma=[[1]], v_R=[p.r * i], i_G=[load(v)], g_L=[-1], parameters=p)
+    return _design(circuit, {"v": 5}, DynamicExtension(2, "0.001", 1, 100), sample_period="2e-5")
+
+
+def tunnel_diode():
+    return cubic_load(lambda v: v**3 / 3 - 2 * v**2 + 3.2 * v)
+
+
+def shunt():
+    """``11/10 - tanh(v)^2`` is the conductance of the load."""
+    return cubic_load(lambda v: v / 10 + ca.tanh(v))
+
+
+def quartic_coupling():
+    """A potential that grows by a sum of squares."""
+    return _design(_two(lambda a, b: (a - b) ** 4 / 4 + (a - b) ** 2 / 2, lambda a, b: [0, b**2]), {"q1": 1})
+
+
 DESIGNS = {
     f.__name__: f
     for f in (
@@ -277,5 +299,9 @@ DESIGNS = {
         three_links,
         three_links_compensated,
         five_links,
+        cubic_load,
+        tunnel_diode,
+        shunt,
+        quartic_coupling,
     )
 }

@@ -68,6 +68,9 @@ KINDS = {
     "unassignable_target": ("equilibrium", "REFUTED", "steps"),
     "wrong_output": ("passive-output", "REFUTED", "x"),
     "chain": (LOCAL, "PROVED", "P"),
+    "cubic_load": (GLOBAL, "PROVED", "currents"),
+    "shunt": (GLOBAL, "PROVED", "currents"),
+    "quartic_coupling": (GLOBAL, "PROVED", "excess"),
     "two_links": (SAMPLED, "PROVED", "Lambda"),
     "rlc": (GLOBAL, "PROVED", "coordinates"),
     "pera": (GLOBAL, "PROVED", "then"),
@@ -236,6 +239,8 @@ PAIRS = [
     ("damped_modes", "antisymmetric_mode", GLOBAL),
     ("hardening_spring", "negative_damping", "assumption-1"),
     ("cubic_damping", "unassignable_target", "equilibrium"),
+    ("cubic_load", "tunnel_diode", GLOBAL),
+    ("shunt", "tunnel_diode", GLOBAL),
 ]
 
 
@@ -521,3 +526,18 @@ def test_a_drift_that_the_law_needs_and_no_sensor_sees_is_shown():
     document = _written_for(Design(system, {"v": 5}, design.law, sample_period="1e-3", name="blind"))
     assert outcomes(document)["measurability"] in ("checked", "open")
     assert "fails" not in outcomes(document).values()
+
+
+def test_the_currents_of_a_circuit_must_grow_with_its_state():
+    document = document_of("cubic_load")
+    found = witness(document, GLOBAL)["currents"]
+    zero = next(k for row in found["N"] for k in row if document["terms"][k].endswith("constant 0"))
+    changes = [{"signs": [-s for s in found["signs"]]}, {"signs": [0] * 2}, {"least": "1"}, {"least": "0"}]
+    changes += [{"least": f"-{found['least']}"}, {"w": found["w"][::-1]}, {"w": [zero] * 2}, {"N": found["N"][::-1]}]
+    changes += [{"N": [[zero] * 2] * 2}, {"Xi": [row[::-1] for row in found["Xi"]]}, {"R": [["0"] * 2]}]
+    changes += [{"R": [["-" + v if v != "0" else v for v in row] for row in found["R"]]}]
+    changes += [{"Xi": [["0"] * 2] * 2}, {"signs": found["signs"][:1]}]
+    for change in changes:
+        assert outcomes(with_witness(document, GLOBAL, currents=found | change))[GLOBAL] == "fails", change
+    assert outcomes(with_witness(document, GLOBAL, squares=[]))[GLOBAL] == "fails"
+    assert outcomes(with_witness(document, GLOBAL, squares=None))[GLOBAL] == "recorded"
