@@ -217,7 +217,9 @@ def _at_target(wide: Wide, point: RestingPoint | None) -> Iterator[Verdict]:
     K_c = wide.matrix(base.K_c)
     named = extended(symbols, wide.diagonal(wide.K_c, symbolic=True) if wide.K_c else K_c)
     both = (*gains, *wide.K_c)
-    yield decide_definite(wide, "kc-bound", extended(A, K_c), "hess S_dc > 0", named, both, shaped.against)
+    yield decide_definite(
+        wide, "kc-bound", extended(A, K_c), "hess S_dc > 0", named, both, shaped.against, system.n + 1
+    )
 
 
 def _energy(wide: Wide) -> ca.SX:

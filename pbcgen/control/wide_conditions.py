@@ -19,7 +19,7 @@ from pbcgen.symbolic.real import text
 #: Longer conditions are not shown, nor more of them.
 _LONGEST = 200
 _MOST = 4
-_LARGEST_MINOR = 6
+_LARGEST_MINOR = 4
 #: Conditions of more terms are not factored.
 _MOST_TERMS = 200
 
@@ -50,6 +50,7 @@ def decide_definite(
     symbolic: ca.SX | None = None,
     gains: Sequence[Gain] = (),
     block: Against | None = None,
+    first: int = 1,
 ) -> Verdict:
     """Whether a symmetric matrix of functions of the parameters is positive definite for all of them.
 
@@ -61,6 +62,7 @@ def decide_definite(
         symbolic: with the gains as symbols, for the condition; the matrix itself if not given.
         gains: those that occur in it.
         block: what refutes a leading block of the matrix, if that is known.
+        first: order of the first leading minor that was not looked at yet.
     """
     try:
         if definite(wide.entries(matrix)):
@@ -70,7 +72,7 @@ def decide_definite(
         pass
     where = _condition_of(wide, matrix if symbolic is None else symbolic, gains)
     iff = f"{shown} iff {where}" if where else ""
-    against = block or negative_minor(wide, matrix, FAR_REACHES if iff else REACHES)
+    against = block or negative_minor(wide, matrix, FAR_REACHES if iff else REACHES, first)
     if against is None:
         why = f"{iff}: not proved for all" if iff else f"{shown} was not proved with symbolic parameters"
         return Verdict(undecided(name, AT_TARGET, why), where)
@@ -81,9 +83,9 @@ def decide_definite(
     return Verdict(claim, where, against)
 
 
-def negative_minor(wide: Wide, matrix: ca.SX, reaches: Sequence[int] = REACHES) -> Against | None:
+def negative_minor(wide: Wide, matrix: ca.SX, reaches: Sequence[int] = REACHES, first: int = 1) -> Against | None:
     """A leading minor that is negative for some positive parameters."""
-    for k in range(1, min(matrix.shape[0], _LARGEST_MINOR) + 1):
+    for k in range(first, min(matrix.shape[0], _LARGEST_MINOR) + 1):
         found = wide.counterexample(ca.det(matrix[:k, :k]), ca.SX(0, 1), reaches=reaches)
         if found is not None:
             return Against(found[0], k, text(found[2], 6))
@@ -109,6 +111,9 @@ def condition(wide: Wide, functions: Sequence[Quotient], gains: Sequence[Gain] =
             if len(function.numerator) * len(function.denominator) > _MOST_TERMS:
                 return ""
             essential = _without_sign(function, known)
+            sign = essential.constant()
+            if sign is not None and sign > 0:
+                continue
             known.append(essential.numerator)
             parts.append(_shown(wide, essential))
     except TooLarge:
@@ -141,7 +146,7 @@ def _without_sign(function: Quotient, known: Sequence[fmpq_mpoly]) -> Quotient:
 def _shown(wide: Wide, function: Quotient) -> str:
     """``function > 0`` solved for a gain, or with positive terms on both sides."""
     field = function.field
-    if function.constant() is not None:  # a sign that was proved: it is negative, or zero
+    if function.constant() is not None:  # it is proved to be negative, or zero
         return "never"
     terms = function.numerator.to_dict()
     gains = [k for k, atom in field.atoms.items() if atom.kind == "exp" and _name(atom.argument) in wide.gain_names]

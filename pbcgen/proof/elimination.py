@@ -11,6 +11,9 @@ from pbcgen.symbolic.field import Quotient, TooLarge
 #: The rows of a matrix, each with all entries or with some, by column; the others are zero.
 Rows = Sequence[Sequence[Quotient]] | Sequence[Mapping[int, Quotient]]
 
+#: Conditions are not looked for beyond so many terms.
+_MOST_TERMS = 100
+
 
 def _as_rows(matrix: Rows) -> dict[int, dict[int, Quotient]]:
     """The nonzero entries by row and column."""
@@ -130,7 +133,7 @@ def positivity_conditions(matrix: Sequence[Sequence[Quotient]], prover: Prover |
     """Functions that are all positive just where the symmetric matrix is positive definite: none if that is proved.
 
     Pivots that are proved positive are taken first; those that are left are the conditions (Sylvester). One that is
-    the zero function says that the matrix is nowhere definite. Raises TooLarge.
+    the zero function says that the matrix is nowhere definite. Raises TooLarge for what nobody could read.
     """
     prover = prover or Everywhere()
     rows = _as_rows(matrix)
@@ -138,6 +141,8 @@ def positivity_conditions(matrix: Sequence[Sequence[Quotient]], prover: Prover |
     zero = matrix[0][0].field.const(0)
     left = []
     while rows:
+        if any(len(row[k].numerator) > _MOST_TERMS for k, row in rows.items() if k in row):
+            raise TooLarge("the conditions for the matrix to be definite grow too long")
         sure = pivots.take()
         pivot = next(iter(rows)) if sure is None else sure
         head = rows[pivot].get(pivot, zero)

@@ -28,6 +28,8 @@ _DEPTH = 3
 _MOST_TERMS = 300
 _MOST_BOUNDED = 6
 _MOST_PRODUCTS = 8
+#: How many pairs of a negative term and a square are looked at for a quadratic form.
+_MOST_TRIALS = 20_000
 
 
 class Prover(Protocol):
@@ -125,7 +127,23 @@ def _strictly(field: Field, polynomial: fmpq_mpoly, known: Known) -> bool:
                 if _certain(field, rest, known):
                     return True
     vertices = _vertices(field, polynomial, known)
-    return vertices is not None and all(_strictly(field, vertex, known) for vertex in vertices)
+    if vertices is not None and all(_strictly(field, vertex, known) for vertex in vertices):
+        return True
+    return len(polynomial) <= _MOST_TERMS and _strictly_by_factors(field, polynomial, known)
+
+
+def _strictly_by_factors(field: Field, polynomial: fmpq_mpoly, known: Known) -> bool:
+    """As a product of several factors that each have a sign."""
+    content, factors = polynomial.factor()
+    if len(factors) == 1 and factors[0][1] == 1:
+        return False
+    negatives = 0 if content > 0 else 1
+    for factor, power in factors:
+        if not _strictly(field, factor, known):
+            if not _strictly(field, -factor, known):
+                return False
+            negatives += int(power)
+    return negatives % 2 == 0
 
 
 def _strict_term(field: Field, exponents: Exponents, known: Known) -> bool:
@@ -361,9 +379,14 @@ def _nonnegative_form(field: Field, polynomial: fmpq_mpoly, known: Known) -> boo
             continue
         group = groups.setdefault(outside, {})
         group[inside] = group.get(inside, fmpq(0)) + coefficient
+    halves = {g: _halves(terms) for g, terms in groups.items()}
+    few = len(negative) * sum(map(len, halves.values())) <= _MOST_TRIALS
     for exponents, coefficient in negative:
         own = tuple(e % 2 if k in known.positive else 0 for k, e in enumerate(exponents))
-        outside = next((g for g in (own, *groups) if g in groups and _fits(_less(exponents, g), groups[g])), own)
+        outside = own
+        if few:
+            places = (own, *groups) if own in groups else tuple(groups)
+            outside = next((g for g in places if _fits(_less(exponents, g), groups[g], halves.get(g, set()))), own)
         group, inside = groups.setdefault(outside, {}), _less(exponents, outside)
         group[inside] = group.get(inside, fmpq(0)) + coefficient
     return all(_sum_of_squares(terms) for terms in groups.values())
@@ -373,11 +396,15 @@ def _less(exponents: Exponents, outside: Exponents) -> Exponents:
     return tuple(e - o for e, o in zip(exponents, outside, strict=True))
 
 
-def _fits(exponents: Exponents, terms: Mapping[Exponents, fmpq]) -> bool:
-    """Whether a monomial is one of the terms, or a product of two monomials whose squares are."""
+def _halves(terms: Mapping[Exponents, fmpq]) -> set[Exponents]:
+    """The monomials whose squares are among the terms, with a positive coefficient."""
+    return {tuple(e // 2 for e in term) for term, c in terms.items() if c > 0 and all(e % 2 == 0 for e in term)}
+
+
+def _fits(exponents: Exponents, terms: Mapping[Exponents, fmpq], halves: set[Exponents]) -> bool:
+    """Whether a monomial is one of the terms, or a product of two of the halves."""
     if min(exponents) < 0:
         return False
-    halves = {tuple(e // 2 for e in term) for term, c in terms.items() if c > 0 and all(e % 2 == 0 for e in term)}
     return exponents in terms or any(_less(exponents, half) in halves for half in halves)
 
 

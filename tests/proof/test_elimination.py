@@ -108,3 +108,16 @@ def test_a_negative_product_of_positive_symbols_between_their_squares(weight):
     value = c * c - field.const(Fraction(weight)) * c * e + e * e + d
     assert nonnegative(value) is (Fraction(weight) <= 2)
     assert nonnegative(value * d) is (Fraction(weight) <= 2)
+
+
+def test_a_product_of_positive_factors_is_positive_although_its_terms_have_both_signs():
+    """(c^2 - c e + e^2) (c^2 - d c + d^2 + e) has a sign by its factors; with a factor c - d it has none."""
+    field = Field(["c", "e", "d"], 8)
+    c, e, d = (field.exp(field.symbol(k)) for k in range(3))
+    value = (c * c - c * e + e * e) * (c * c - d * c + d * d + e)
+    assert positive(value)
+    assert positive(-(value * -(e + d)))
+    assert not positive(-value)
+    assert not positive(value * (c - d))
+    assert not positive(value * (c - d) * (c - d))  # zero at c = d
+    assert nonnegative(value * (c - d) * (c - d))
