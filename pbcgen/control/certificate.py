@@ -98,11 +98,14 @@ def _formulas(derivation: Derivation) -> Writing:
 
 
 def _needs_structure(derivation: Derivation) -> bool:
-    """Whether the gradient condition rests on the power structure, because its value at x* is not exact."""
-    exact = derivation.point is not None and all(
-        _exactly(v) is not None for v in (*derivation.point.x, *derivation.point.u)
-    )
-    return not (exact or isinstance(_base(derivation.law), PotentialCompensation))
+    """Whether the gradient condition rests on the power structure, because x* is not written down exactly."""
+    if isinstance(_base(derivation.law), PotentialCompensation):
+        return False
+    try:
+        witness = _rest(derivation)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return True
+    return witness is None or bool(witness["unknown"])
 
 
 def _readings(derivation: Derivation) -> Writing:
@@ -163,6 +166,10 @@ def _witness(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, 
 
 
 def _equilibrium(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    return _rest(derivation)
+
+
+def _rest(derivation: Derivation) -> dict[str, Any] | None:
     """Exact coordinates, a centre for the others, the equations that determine them, and how the rest follow.
 
     First with a short decimal for every coordinate that can only be that; then with these among the unknowns, where an
@@ -209,13 +216,11 @@ def _equations(derivation: Derivation, point: Point, expressions: ca.SX, unknown
 
 
 def _exactly(value: Real) -> Fraction | None:
-    """The number, or the short decimal in its enclosure, which it must then be; None for others."""
-    short = Fraction(repr(approximate(value)))
+    """The number, or zero or the short decimal in its enclosure, which it must then be; None for others."""
     if isinstance(value, fmpq):
         return fraction(value)
-    return (
-        short if lower(value) <= short <= upper(value) else Fraction(0) if lower(value) <= 0 <= upper(value) else None
-    )
+    candidates = (Fraction(0), Fraction(repr(approximate(value))))
+    return next((v for v in candidates if lower(value) <= v <= upper(value)), None)
 
 
 def _decimal(value: Fraction) -> str:

@@ -54,6 +54,15 @@ def _round(x, y):
     return (x**2 + y**2) / 2
 
 
+def rest_at_zero_by_newton():
+    """Two states rest at zero, which Newton's method finds as 1e-102 give or take 1e-99."""
+    x, u = ca.SX.sym("x", 3), ca.SX.sym("u")
+    S = 0.75 * x[0] ** 2 + 0.9 * x[1] ** 2 - 1.8 * ca.cos(2 * x[1]) + 2.5 * (ca.exp(x[2]) - x[2])
+    e = ca.gradient(S + 0.1 * (x[2] - x[1]) ** 2, x)
+    f = [e[2], -1.3 * (1 + 0.5 * ca.tanh(x[1])) * e[1], -e[0] - 0.8 * (1 + 0.5 * ca.tanh(x[2])) * e[2]]
+    return _design(AffineSystem(x, [u], f, [0, 0, 1], S + 0.1 * (x[2] - x[1]) ** 2), {"x_0": "0.1"})
+
+
 def hardening_spring():
     return _design(_one(lambda q: q**2 / 2 + q**4 / 4), {"q": "0.5"})
 
@@ -272,6 +281,7 @@ def quartic_coupling():
 DESIGNS = {
     f.__name__: f
     for f in (
+        rest_at_zero_by_newton,
         hardening_spring,
         softening_spring,
         weakly_held_pendulum,
