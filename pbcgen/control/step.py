@@ -54,7 +54,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from pbcgen.control.fitted import fitted
 from pbcgen.control.hyperbolic import fast_cosh, fast_tanh
@@ -430,6 +429,13 @@ def _remainder(x: float, y: float) -> float:
         return math.nan
 
 
+def _special(name: str, x: Any) -> Any:
+    """A function of scipy.special, which takes as long to import as CasADi: few laws have one."""
+    from scipy import special
+
+    return getattr(special, name)(x)
+
+
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "assign": lambda x: x,
     "assign_first": lambda x, _: x,
@@ -461,8 +467,8 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "asinh": np.arcsinh,
     "acosh": np.arccosh,
     "atanh": np.arctanh,
-    "erf": special.erf,
-    "erfinv": special.erfinv,
+    "erf": lambda x: _special("erf", x),
+    "erfinv": lambda x: _special("erfinv", x),
     "lt": np.less,
     "le": np.less_equal,
     "eq": np.equal,
