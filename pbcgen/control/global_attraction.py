@@ -109,6 +109,8 @@ def _undefined(situation: Situation) -> str:
         if missing:
             return missing
         parts = [mechanics.M, mechanics.V, mechanics.D, mechanics.G, situation.gamma]
+    if plant.tape(*parts).is_entire():
+        return ""
     try:
         field, _ = plant.exact(*parts)
     except (UnsupportedOperation, ZeroDivisionError) as reason:

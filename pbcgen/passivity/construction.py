@@ -9,6 +9,7 @@ takes a time linear in the size of the formulas, where the expansion of M^-1 int
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import lru_cache
 
 import casadi as ca
 
@@ -39,6 +40,7 @@ def gradient_by_construction(system: AffineSystem) -> bool:
     return False
 
 
+@lru_cache(maxsize=2)
 def drift_by_construction(system: AffineSystem) -> bool:
     """Whether f is written as F times ``energy_gradient``."""
     mechanics, structure = system.mechanical, system.structure

@@ -80,6 +80,9 @@ OPERATIONS: Mapping[int, tuple[str, int]] = {
     ca.OP_PRINTME: ("assign_first", 2),
 }
 
+#: Operations that are defined and smooth for all operands.
+_ENTIRE = frozenset("assign add sub mul neg twice sq sin cos sinh cosh exp expm1 tanh atan asinh erf".split())
+
 _NAME_OF_CODE = {getattr(ca, name): name for name in dir(ca) if name.startswith("OP_")}
 
 
@@ -232,6 +235,17 @@ class Tape:
             for position in spent:
                 values[position] = None
         return [Matrix(m.shape, {at: values[v] for at, v in m.entries.items()}) for m in self.outputs]
+
+    def is_entire(self) -> bool:
+        """Whether nothing occurs but what is defined and smooth for all arguments: no quotients, roots or switches."""
+        return all(i.name in _ENTIRE or self._by_number(i) for i in self.instructions if isinstance(i, Operation))
+
+    def _by_number(self, operation: Operation) -> bool:
+        """Whether this is a division by a number."""
+        if operation.name != "div":
+            return False
+        divisor = self.instructions[operation.operands[1]]
+        return isinstance(divisor, Constant) and divisor.value != 0
 
     @cached_property
     def _spent(self) -> tuple[tuple[int, ...], ...]:
