@@ -14,6 +14,9 @@ from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, reduce_rows
 #: Equations with more terms are not factored.
 _MOST_FACTORED = 100
 
+#: Characters of a formula that is shown as such.
+_SHORT = 60
+
 Exponents = tuple[int, ...]
 
 #: Odd strictly increasing functions: they vanish only with their argument.
@@ -139,5 +142,6 @@ def is_combination(target: Mapping[Exponents, fmpq], zeros: Sequence[Mapping[Exp
 
 def short(value: Quotient) -> str:
     """The function as a formula, if that is short."""
-    text = formula(value)
-    return text if len(text) <= 60 else "an expression of the others"
+    long = value.is_polynomial() and len(value.numerator) > _SHORT // 4 + 1  # a term and a sign take four characters
+    text = "" if long else formula(value)
+    return text if 0 < len(text) <= _SHORT else "an expression of the others"

@@ -262,7 +262,7 @@ class _Elimination:
             for j in list(self.solved):
                 self.solved[j] = ca.substitute(self.solved[j], symbol, value)
             self.solved[k] = value
-            self._record(k, -rest)
+            self._record(k, -rest, value)
             return True
         expression = self.to_sx(factor)
         self.pending.append(expression)
@@ -342,7 +342,8 @@ class _Elimination:
                 continue
             k = min(int(str(key)) for key in unknown)
             rest = {key: c / row[k] for key, c in row.items() if key != k}
-            self._record(k, combination(field_, rest))
+            found_value = combination(field_, rest)
+            self._record(k, found_value, self.to_sx(found_value))
             for other, before in rows.items():
                 if k in before:
                     rows[other] = eliminated(before, {k: rest})
@@ -354,8 +355,8 @@ class _Elimination:
             self.solved |= dict(zip(rows, found, strict=True))
         return left
 
-    def _record(self, k: int, value: Quotient) -> None:
-        self.relations.append(self.symbols[k] - self.to_sx(value))
+    def _record(self, k: int, value: Quotient, expression: ca.SX) -> None:
+        self.relations.append(self.symbols[k] - expression)
         self.steps.append(f"{self.names[k]} = {short(value)}")
 
     def _derivatives(self, waiting: Sequence[ca.SX]) -> list[ca.SX]:

@@ -189,9 +189,13 @@ class Field:
         return Quotient(self, numerator / scale, denominator / scale)
 
     def _reduce(self, polynomial: fmpq_mpoly) -> fmpq_mpoly:
+        if not self._squares:
+            return polynomial
+        degrees = polynomial.degrees()
         for generator, square in self._squares.items():
-            while polynomial.degrees()[generator] > 1:
+            while degrees[generator] > 1:
                 polynomial = self._lower_degree(polynomial, generator, square)
+                degrees = polynomial.degrees()
         return polynomial
 
     def _lower_degree(self, polynomial: fmpq_mpoly, generator: int, square: fmpq_mpoly) -> fmpq_mpoly:
@@ -419,7 +423,7 @@ class Field:
         def polynomial(p: fmpq_mpoly) -> ca.SX:
             total = ca.SX(0)
             for powers, coefficient in terms(p):
-                factors = [generator(k) ** e for k, e in powers]
+                factors = [generator(k) if e == 1 else generator(k) ** e for k, e in powers]
                 value = fraction(coefficient)
                 if not factors:
                     total = total + make(value)

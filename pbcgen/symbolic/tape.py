@@ -81,7 +81,10 @@ OPERATIONS: Mapping[int, tuple[str, int]] = {
 }
 
 #: Operations that are defined and smooth for all operands.
-_ENTIRE = frozenset("assign add sub mul neg twice sq sin cos sinh cosh exp expm1 tanh atan asinh erf".split())
+_ENTIRE = frozenset(
+    {"assign", "add", "sub", "mul", "neg", "twice", "sq", "sin", "cos"}
+    | {"sinh", "cosh", "exp", "expm1", "tanh", "atan", "asinh", "erf"}
+)
 
 _NAME_OF_CODE = {getattr(ca, name): name for name in dir(ca) if name.startswith("OP_")}
 
