@@ -335,7 +335,7 @@ def _scanned(
     """All periods that are proved for the linearised loop.
 
     Where the Lyapunov route holds and the continuous loop is Hurwitz, the storage's quadratic part proves the periods
-    below its bound, so the scan begins there.
+    below its bound, so the scan begins there; for larger loops it ends there too, if that covers h.
     """
     end, delay = h * _REACH, sampling.delay
     covered = storage.largest if continuous and storage.largest is not None else Fraction(0)
@@ -345,6 +345,8 @@ def _scanned(
     size = sum(loop.sizes[:2])
     if size > _LARGEST_SCAN and not sampling.scan:
         return Scan(start, start, None, (), delay, complete=False, exhausted=True)
+    if size > _LARGEST_SEARCH and covered > h and not sampling.scan:
+        return Scan(Fraction(0), covered, None, (), delay, complete=False, exhausted=True)
     tries = max(1, min(_TRIES, _WORK // size**3, _WORK * _SMALL**2 // size**5))
     found = scan(loop, end, delay=delay, start=start, tries=None if sampling.scan else tries)
     if found.exhausted and refused:
