@@ -134,7 +134,8 @@ class Wide:
 
     def power_structure(self, own: PowerStructure) -> PowerStructure:
         """A power structure with exp(s) for the parameters."""
-        return PowerStructure(own.form, self.widened(own.matrix), self.widened(own.remainder), own.origin, own.known)
+        matrix, rho = (self.plant.numbers_of(self.given, self.widened(e)) for e in (own.matrix, own.remainder))
+        return PowerStructure(own.form, matrix, rho, own.origin, own.known)
 
     @property
     def compensation(self) -> ca.SX | None:

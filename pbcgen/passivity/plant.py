@@ -119,6 +119,11 @@ class Plant:
             self._constants[value] = ca.SX.sym(_constant_name(value))
         return self._constants[value]
 
+    def numbers_of(self, other: Plant, expression: ca.SX) -> ca.SX:
+        """An expression of another plant with this plant's symbols for the constants that the other has made."""
+        old, new = ca.vertcat(ca.SX(0, 1), *other._constants.values()), map(self.number, other._constants)
+        return ca.substitute(expression, old, ca.vertcat(ca.SX(0, 1), *new)) if old.numel() else expression
+
     def symbolic(self, system: AffineSystem) -> SymbolicPlant:
         """Another system, whose parameters stay symbols; it knows the constants made by :meth:`number` so far."""
         return SymbolicPlant(system, dict(self._constants))

@@ -21,6 +21,8 @@ from pbcgen import (
     for_all_parameters,
 )
 from pbcgen.control import wide
+from pbcgen.control.wide import Wide
+from pbcgen.passivity.structure import PowerStructure
 
 LAWS = {
     "dynamic-extension": DynamicExtension(2, 1, 5, 1),
@@ -137,6 +139,16 @@ def test_a_number_in_the_model_is_no_parameter():
         assert claim.status == expected
         if claim.counterexample is not None:
             assert {*claim.counterexample["parameters"]} == {"m", "d"}
+
+
+def test_numbers_that_a_search_at_the_values_makes_do_not_get_in_the_way():
+    """A structure may hold fractions that the plant at the values has made after the widened one."""
+    derivation = check(_pendulum(LAWS["dynamic-extension"])).derivation
+    design = Wide(derivation)
+    third = derivation.plant.number(Fraction(1, 3))
+    structure = PowerStructure("F", third * ca.SX.eye(2), ca.SX(2, 1), "made up")
+    (matrix,) = design.exact(design.power_structure(structure).matrix)
+    assert str(matrix[0][0].constant()) == "1/3"
 
 
 def test_what_is_refuted_at_the_models_own_values_is_refuted():
