@@ -156,7 +156,7 @@ def _in_coordinates(
     """With nonlinear gamma: what the form and the ln cosh terms with alpha > |kappa| bound must bound all states."""
     form, linear = split
     x = plant.system.x
-    solved = reduce_rows([dict(enumerate(row)) for row in form])
+    solved = reduce_rows([{k: v for k, v in enumerate(row) if v != 0} for row in form])
     rows = [[row.get(k, fmpq(0)) if k != p else fmpq(1) for k in range(len(linear))] for p, row in solved.items()]
     if any(_dot(linear, v) != 0 for v in _kernel(form)):
         return Growth(False, "the linear part of S is not outgrown, and gamma is not affine")
@@ -348,7 +348,7 @@ def _on_kernel(
 
 def _kernel(form: RealMatrix) -> list[list[fmpq]]:
     size = len(form)
-    solved = reduce_rows([dict(enumerate(row)) for row in form])
+    solved = reduce_rows([{k: v for k, v in enumerate(row) if v != 0} for row in form])
     free = [k for k in range(size) if k not in solved]
     basis = []
     for f in free:

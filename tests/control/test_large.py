@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
@@ -86,6 +87,23 @@ def test_a_large_ladder_that_is_sampled_too_slowly_is_refuted_by_its_linearisati
     assert claims["asymptotically-stable"].status is Status.PROVED
     assert claims["sampled-stable"].status is Status.REFUTED
     assert claims["sampled-stable"].counterexample
+
+
+def peak(n: int) -> int:
+    """The most memory that Python's objects take while a ladder is derived, bytes."""
+    design = ladder(n)
+    tracemalloc.start()
+    try:
+        derive(design)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.system
+def test_memory_grows_with_the_nonzeros_not_with_the_square_of_the_states() -> None:
+    derive(ladder(60))  # loads what large loops need
+    assert peak(200) < 3 * peak(100)  # dense rows of functions or numbers would make it four
 
 
 @pytest.mark.system
