@@ -69,7 +69,7 @@ def certificate(derivation: Derivation) -> dict[str, Any]:
     moving = coordinates(derivation, document)
     document |= moving
     for claim, entry in zip(derivation.claims, claims, strict=True):
-        if not (moving and claim.claim in SQUARES):
+        if not (moving and claim.claim in SQUARES and claim.status is Status.PROVED):
             entry["witness"] = _witness(derivation, claim, terms)
     found = stability_witnesses(derivation, document, terms)
     for entry in claims:

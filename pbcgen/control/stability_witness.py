@@ -50,7 +50,7 @@ Witness = dict[str, Any] | None
 def stability_witnesses(derivation: Derivation, document: Mapping[str, Any], terms: Writing) -> dict[str, Witness]:
     """The witnesses by claim; what cannot be shown has none. ``terms`` takes their formulas."""
     wanted = {c.claim: c for c in derivation.claims if c.status is not Status.UNDECIDED}
-    bits, settings = ctx.prec, (16,)  # type: int, tuple[Any, ...]
+    bits, settings = ctx.prec, (64 if "inertia" in document else 16,)  # type: int, tuple[Any, ...]
     try:
         for _ in range(100):
             found, writing = {}, copy.deepcopy(terms)
@@ -78,7 +78,7 @@ class _Work:
     def witness(self, claim: Claim) -> Witness:
         """The data for one claim, or None."""
         try:
-            if claim.claim in SQUARES and self.system.inertia:
+            if claim.claim in SQUARES and claim.status is Status.PROVED and self.system.inertia:
                 return self._squares(claim)
             make = _MAKERS.get(claim.claim)
             return None if make is None else make(self, claim)

@@ -23,7 +23,7 @@ from pbcgen.verify.stability import Stability
 SQUARES = ("assumption-1", "passive-output", "assumption-3")
 
 #: Refutations that are made in the states themselves.
-_IN_STATES = ("measurability", "passive-output", "asymptotically-stable", "assumption-1")
+_IN_STATES = ("measurability", "passive-output", "asymptotically-stable")
 
 
 def coordinates(derivation: Derivation, document: Mapping[str, Any]) -> dict[str, Any]:
@@ -44,7 +44,8 @@ def coordinates(derivation: Derivation, document: Mapping[str, Any]) -> dict[str
 
 
 def _refuted(claims: Sequence[Claim]) -> bool:
-    return any(c.claim in _IN_STATES and c.status is Status.REFUTED for c in claims)
+    refuted = {c.claim for c in claims if c.status is Status.REFUTED}
+    return bool(refuted & {*_IN_STATES} - ({"asymptotically-stable"} if "stable" in refuted else set()))
 
 
 def _places(derivation: Derivation, formulas: Formulas) -> list[list[int | None]]:
@@ -66,8 +67,6 @@ def _places(derivation: Derivation, formulas: Formulas) -> list[list[int | None]
 
 def squares(derivation: Derivation, system: Stability, claim: Claim, terms: Writing) -> dict[str, Any] | None:
     """The witness of a claim that is shown by squares, for a system that is read in (q, v)."""
-    if claim.status is not Status.PROVED:
-        return None
     matrix, given = system.power, {}  # type: Matrix, dict[str, Any]
     if claim.claim == "assumption-1":
         matrix = [[-system.rate("S")[0][0]]]
