@@ -102,7 +102,7 @@ def test_what_holds_is_not_refuted(value):
     assert not _refuted(value)
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(12))
 def test_what_touches_zero_is_not_refuted_and_what_lies_just_below_is(seed):
     """Friction (g - c)^2 h with h > 0 vanishes where g = c; less 1e-3 of h it is negative there."""
     generator = np.random.default_rng(seed)
