@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from math import inf
 
 import casadi as ca
 
@@ -14,6 +15,7 @@ from pbcgen.models.design import Design
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.models.limits import row_text
 from pbcgen.passivity.plant import Plant, Point
+from pbcgen.passivity.region import Region, search
 from pbcgen.proof.boxes import Box
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.extrema import maximum, term_bounds
@@ -22,6 +24,8 @@ from pbcgen.symbolic.real import BITS, Real, midpoint, precision, rational, sign
 
 #: Slightly more than pi: a box that covers a period of sine and cosine.
 _PI = Fraction(355, 113)
+#: The bounds of grad V are not closer than that, relative to the limit.
+_UNSEEN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,10 @@ def saturation(
             None if c is None else Range(c.lo - rational(a), c.hi + rational(a))
             for c, a in zip(centres, sizes, strict=True)
         )
-        return Saturation(_compare(plant, design, ranges, centres, sizes), ranges)
+        claim = _compare(plant, design, ranges, centres, sizes)
+    if claim.status is Status.UNDECIDED and isinstance(base, PotentialCompensation):
+        claim = _exceeded(plant, design, ranges, sizes, claim) or claim
+    return Saturation(claim, ranges)
 
 
 def offsets(plant: Plant, law: Law, point: Point) -> list[tuple[Real, Real]] | None:
@@ -212,6 +219,51 @@ def _compare(
         hint,
         counterexample,
     )
+
+
+def _exceeded(
+    plant: Plant, design: Design, ranges: Sequence[Range | None], sizes: Sequence[Fraction], claim: Claim
+) -> Claim | None:
+    """REFUTED by positions at which grad V and the amplitudes together are beyond a limit, or None.
+
+    The filter's state is free, so that every tanh comes as close to one as one likes there.
+    """
+    mechanics, region = plant.system.mechanical, Region.stated(plant)
+    if mechanics is None:
+        return None
+    force = ca.gradient(mechanics.V, mechanics.q)
+    for row, bound in design.input_set.rows():
+        if _excess(row, bound, ranges) <= _UNSEEN * (1 + abs(bound)):
+            continue
+        pull = sum((abs(a) * size for a, size in zip(row, sizes, strict=True)), Fraction(0))
+        held = ca.dot(ca.vertcat(*map(plant.number, row)), force)
+        try:
+            found = search(plant, region, plant.number(bound) - held - plant.number(pull), ca.SX(1))
+        except (UnsupportedOperation, ZeroDivisionError):
+            continue
+        if found.point is None or found.value is None:
+            continue
+        names, count = plant.system.state_names, mechanics.q.numel()
+        place = {name: text(rational(v), 17) for name, v in zip(names[:count], found.point[:count], strict=True)}
+        shown = ", ".join(f"{name} = {value}" for name, value in place.items())
+        label = f"{row_text(row, plant.system.input_names)} <= {text(rational(bound))}"
+        return replace(
+            claim,
+            status=Status.REFUTED,
+            method="exact or ball arithmetic at a rational point",
+            evidence=f"{label} is exceeded by {text(-found.value, 6)} at {shown}, with each tanh near its end",
+            counterexample={"limit": label, "excess": text(-found.value, 6), "x": place},
+        )
+    return None
+
+
+def _excess(row: Sequence[Fraction], bound: Fraction, ranges: Sequence[Range | None]) -> float:
+    """By how much ``row u`` may be beyond a bound; infinite where an input has no range."""
+    total = -float(bound)
+    for a, found in zip(row, ranges, strict=True):
+        if a:
+            total += inf if found is None else float(a * midpoint(found.hi if a > 0 else found.lo))
+    return total
 
 
 def _attained(centres: Sequence[Range | None]) -> bool:

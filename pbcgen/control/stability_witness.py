@@ -121,8 +121,10 @@ class _Work:
 
     def limited(self, claim: Claim) -> Witness:
         """`saturation` where a force is compensated and bounds of its terms do not suffice: a period in boxes."""
-        if claim.status is Status.REFUTED or not self.system.compensated:
+        if not self.system.compensated:
             return None
+        if claim.status is Status.REFUTED:
+            return {"q": list((claim.counterexample or {})["x"].values())}
         trees = {}
         for k, room in enumerate(self.system.rooms):
             least, size = self.system.field.bound(room)

@@ -258,5 +258,10 @@ class Assumptions(Growth):
                 require(sign(least - size) in (0, 1), "an input may leave its limits")
 
     def refuted_saturation(self) -> None:
-        """A limit is exceeded when the tanh terms are close to one."""
-        require(not self.compensated and -1 in map(sign, self.rooms), "no input certainly leaves its limits")
+        """A limit is exceeded when the tanh terms are close to one, at some positions if a force is compensated."""
+        rooms = self.rooms
+        if self.compensated:
+            x = [*self.given("saturation", "q"), *[fmpq(0)] * self.half]
+            require(self.inside(dict(zip(self.states[: self.half], x, strict=False))), "the state is not in the domain")
+            rooms = [put_in(self.field, room, [*x, *[fmpq(0)] * (len(self.field.symbols) - self.n)]) for room in rooms]
+        require(-1 in map(sign, rooms), "no input certainly leaves its limits")

@@ -1,5 +1,8 @@
 """The interval of each input covers everything that the law can put out."""
 
+import math
+from fractions import Fraction
+
 import casadi as ca
 import pytest
 
@@ -44,10 +47,21 @@ def test_two_harmonics_are_bounded_tightly_over_one_turn():
     assert _pendulum(lambda q: -ca.cos(q) - ca.cos(2 * q) / 2, "2.76")[0].status is not Status.PROVED
 
 
-def test_an_unbounded_potential_is_not_proved():
+def test_an_unbounded_potential_leaves_the_limits_somewhere():
     claim, interval = _pendulum(lambda q: q**2, 5)
-    assert claim.status is Status.UNDECIDED
+    assert claim.status is Status.REFUTED
+    assert abs(2 * Fraction(claim.counterexample["x"]["q"])) + 1 > 5
     assert interval is None
+
+
+@pytest.mark.parametrize(("limit", "status"), [("2.7", "REFUTED"), ("2.77", "PROVED")])
+def test_a_limit_is_refuted_with_positions_at_which_it_is_exceeded(limit, status):
+    """sin q + sin 2q and alpha = 1 reach 2.7601725 together."""
+    claim, _ = _pendulum(lambda q: -ca.cos(q) - ca.cos(2 * q) / 2, limit)
+    assert claim.status.name == status
+    if status == "REFUTED":
+        q = float(Fraction(claim.counterexample["x"]["q"]))
+        assert math.sin(q) + math.sin(2 * q) + 1 > float(limit)
 
 
 def test_an_unbounded_potential_is_bounded_on_its_domain():

@@ -517,6 +517,18 @@ def test_a_compensated_force_is_bounded_over_a_period():
         assert outcomes(signed(changed))[claim] != "checked"
 
 
+def test_positions_at_which_a_compensated_force_is_too_large_are_checked_again():
+    claim, document = "saturation", _written_for(_arm_within(34, 16))
+    assert status(document, claim) == "REFUTED"
+    assert outcomes(document)[claim] == "checked"
+    assert outcomes(with_witness(document, claim, q=["2", "1"]))[claim] == "fails"  # there is room
+    wide = _written_for(_arm_within(36, 16))
+    for entry in wide["claims"]:
+        if entry["claim"] == claim:
+            entry.update(status="REFUTED", witness=witness(document, claim))
+    assert outcomes(signed(wide))[claim] == "fails"
+
+
 def test_a_drift_that_the_law_needs_and_no_sensor_sees_is_shown():
     """The law that measures its passive output needs the rate of gamma too."""
     design = DESIGNS["buck_converter_full"]()
