@@ -35,9 +35,9 @@ def beyond_linearisation(situation: Situation, by_lyapunov: bool) -> Claim | Non
         return conserved
     if not by_lyapunov:
         return None
-    found = situation.invariant
-    if found is not None and found.resting and _isolated(situation):
-        return _attractive(found)
+    parts = situation.branches
+    if parts and all(part.resting for part in parts) and _isolated(situation):
+        return _attractive(*parts)
     return _undamped(situation)
 
 
@@ -48,11 +48,11 @@ def locally_by_storage(situation: Situation) -> Claim | None:
     x*: grad S - grad gamma u = A (f + g u), or F^-1 (f + g u) with F regular at x*, and x_c rests where the slope of
     the storage in x_c vanishes.
     """
-    structure, found = situation.structure, situation.invariant
+    structure, parts = situation.structure, situation.branches
     known = isinstance(situation.law, DynamicExtension | PassiveOutput)
-    if not known or structure is None or found is None or not found.resting:
+    if not known or structure is None or not parts or not all(part.resting for part in parts):
         return None
-    return _attractive(found) if structure.form == "A" or _is_regular(situation, structure) else None
+    return _attractive(*parts) if structure.form == "A" or _is_regular(situation, structure) else None
 
 
 def _is_regular(situation: Situation, structure: PowerStructure) -> bool:
@@ -71,8 +71,8 @@ def _is_regular(situation: Situation, structure: PowerStructure) -> bool:
     return len(reduce_rows(rows.values())) == plant.system.n
 
 
-def _attractive(found: InvariantSet) -> Claim:
-    chain = "; ".join(found.steps)
+def _attractive(*parts: InvariantSet) -> Claim:
+    chain = ", or ".join("; ".join(part.steps) for part in parts)
     return Claim(
         "asymptotically-stable",
         Status.PROVED,

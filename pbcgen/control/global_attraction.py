@@ -93,8 +93,7 @@ def _global_premises(situation: Situation, by_lyapunov: bool) -> tuple[str, str]
     undefined = _undefined(situation)
     if undefined:
         return undefined, "rely on the local claim"
-    found = situation.invariant
-    if found is None or not found.resting:
+    if not situation.branches or not all(part.resting for part in situation.branches):
         return "the invariant set was not reduced to equilibria", "rely on the local claim"
     return None
 

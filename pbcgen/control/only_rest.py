@@ -34,10 +34,12 @@ def only_rest(situation: Situation) -> str | None:
 
     The set must be known to consist of equilibria, and x* to meet the conditions of the Lyapunov route.
     """
-    found = situation.invariant
-    assert found is not None
     if _convex(situation):
-        return "the invariant set consists of equilibria (" + "; ".join(found.steps) + "), and the storage is convex"
+        steps = ", or ".join("; ".join(part.steps) for part in situation.branches)
+        return f"the invariant set consists of equilibria ({steps}), and the storage is convex"
+    if len(situation.branches) != 1:
+        return _by_currents(situation)
+    (found,) = situation.branches
     if len(found.inputs) == situation.plant.system.m and all(v.is_zero() for v in map(ca.SX, found.inputs.values())):
         zero = situation.compensation is not None or all(isinstance(u, fmpq) and u == 0 for u in situation.point.u)
         if zero and _one_to_one(situation, found):
@@ -53,9 +55,7 @@ def only_rest(situation: Situation) -> str | None:
         return (
             "the invariant set is parametrised by ubar (" + "; ".join(found.steps) + "), and (rest) is monotone in it"
         )
-    if _by_currents(situation):
-        return "gamma is a monotone function of the input at every rest, and grad P has each value at one state only"
-    return _along_the_set(situation, found) or _in_a_box(situation, found)
+    return _by_currents(situation) or _along_the_set(situation, found) or _in_a_box(situation, found)
 
 
 def _one_to_one(situation: Situation, found: InvariantSet) -> bool:
@@ -143,15 +143,17 @@ def _monotone(situation: Situation, found: InvariantSet) -> bool:
     return semidefinite(values.rows())
 
 
-def _by_currents(situation: Situation) -> bool:
+def _by_currents(situation: Situation) -> str | None:
     """For a circuit: a rest has ``w = grad P = -g_tilde u``, so ``gamma = g_tilde^T Xi g_tilde u``, and w fixes x."""
     plant = situation.plant
     if situation.compensation is not None:
-        return False
+        return None
     try:
-        return depends_on_currents(plant, situation.gamma) and injective(plant, *currents(plant))
+        if not depends_on_currents(plant, situation.gamma) or not injective(plant, *currents(plant)):
+            return None
     except (UnsupportedOperation, ZeroDivisionError):
-        return False
+        return None
+    return "gamma is a monotone function of the input at every rest, and grad P has each value at one state only"
 
 
 def _along_the_set(situation: Situation, found: InvariantSet) -> str | None:

@@ -16,7 +16,8 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.dissipation import NaturalDampingBounds, theta_is_strict
-from pbcgen.passivity.lasalle import Flow, InvariantSet, flow, flow_by_balance, invariant_set
+from pbcgen.passivity.flow import Flow, flow, flow_by_balance
+from pbcgen.passivity.lasalle import InvariantSet, branches, invariant_set
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
@@ -124,14 +125,28 @@ class Situation:
             return None
 
     @cached_property
+    def _parts(self) -> list[InvariantSet]:
+        try:
+            return [] if self.flow is None else branches(self.flow)
+        except (UnsupportedOperation, ZeroDivisionError, Inconsistent):
+            return []
+
+    @cached_property
     def invariant(self) -> InvariantSet | None:
         """The invariant set with ubar unknown, or None when it is not available."""
-        if self.flow is None:
-            return None
+        if self.flow is None or len(self._parts) == 1:
+            return self._parts[0] if self._parts else None
         try:
             return invariant_set(self.flow)
         except (UnsupportedOperation, ZeroDivisionError, Inconsistent):
             return None
+
+    @cached_property
+    def branches(self) -> list[InvariantSet]:
+        """The invariant set, or parts that it is the union of; nothing when it is not available."""
+        if len(self._parts) > 1 and all(part.resting for part in self._parts):
+            return self._parts
+        return [] if self.invariant is None else [self.invariant]
 
     def _theta_strict(self) -> bool:
         """Theta > 0 is what makes eta', y and x_l' vanish where the Lyapunov function rests."""

@@ -20,8 +20,9 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.laws import DynamicExtension, Integral, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.coordinates import proper
 from pbcgen.passivity.factor import Coefficients
+from pbcgen.passivity.flow import Flow, flow
 from pbcgen.passivity.inertia import missing_for_definiteness
-from pbcgen.passivity.lasalle import Flow, InvariantSet, flow, invariant_set
+from pbcgen.passivity.lasalle import InvariantSet, invariant_set
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.passivity.unbounded import currents, depends_on_currents
 from pbcgen.proof.claim import Claim, Status

@@ -15,7 +15,7 @@ from fractions import Fraction
 import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.passivity.equation import linear_in, never_zero
+from pbcgen.passivity.equation import certainly_varies, is_entire, linear_in, never_zero
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.elimination import definite, semidefinite
 from pbcgen.proof.nonnegative import nonnegative, positive
@@ -149,6 +149,10 @@ class _Chain:
         self.functions = [ca.substitute(f, self.variables[k], self.held[-1] - value) for f in self.functions]
         return i, k
 
+    def varies(self, value: Quotient) -> bool:
+        """Whether a function is certainly not zero everywhere."""
+        return certainly_varies(self.plant, self.to_sx(value), ca.vertcat(*self.variables, *self.held))
+
     def slope(self, i: int, k: int) -> Quotient:
         """The derivative of a function by a variable."""
         return self.exact(ca.jacobian(self.functions[i], self.variables[k]))[0]
@@ -162,7 +166,8 @@ def _increases(chain: _Chain, i: int, k: int, value: Quotient) -> bool:
     slope = chain.slope(i, k)
     if positive(slope) or positive(-slope):
         return True
-    return value.symbols() == {k} and not slope.is_zero() and (nonnegative(slope) or nonnegative(-slope))
+    alone = value.symbols() == {k} and is_entire(value)
+    return alone and (nonnegative(slope) or nonnegative(-slope)) and chain.varies(slope)
 
 
 def _grows(chain: _Chain, i: int, k: int, value: Quotient) -> bool:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import casadi as ca
 from flint import fmpq
 
+from pbcgen.passivity.construction import WEIGHTS
+from pbcgen.passivity.plant import Plant
 from pbcgen.proof.nonnegative import nonnegative, positive
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, reduce_rows
+from pbcgen.symbolic.real import BITS, REAL, ZERO, is_finite, precision, rational, reals, sign
+from pbcgen.symbolic.tape import Tape
 
 #: Equations with more terms are not factored.
 _MOST_FACTORED = 100
@@ -19,6 +24,8 @@ _SHORT = 60
 
 Exponents = tuple[int, ...]
 
+#: Functions that are analytic on the whole line.
+_ENTIRE_KINDS = frozenset({"sin", "cos", "exp", "tanh", "atan", "asinh", "erf"})
 #: Odd strictly increasing functions: they vanish only with their argument.
 _MONOTONE_KINDS = frozenset({"tanh", "atan", "asinh", "erf", "asin", "atanh"})
 
@@ -27,9 +34,9 @@ def parts(value: Quotient) -> list[Quotient]:
     """``value = 0`` as several equations: a sum of terms of one sign vanishes only if each does."""
     field_ = value.field
     terms = value.numerator.to_dict()
-    for sign in (1, -1):
+    for side in (1, -1):
         if len(terms) > 1 and all(
-            nonnegative(field_.polynomial(field_.context.from_dict({e: c * sign}))) for e, c in terms.items()
+            nonnegative(field_.polynomial(field_.context.from_dict({e: c * side}))) for e, c in terms.items()
         ):
             return [field_.polynomial(field_.context.from_dict({e: c})) for e, c in terms.items()]
     return [field_.polynomial(value.numerator)]
@@ -37,17 +44,19 @@ def parts(value: Quotient) -> list[Quotient]:
 
 def essential(value: Quotient) -> Quotient | None:
     """The factor that must vanish, or None when there is none or more than one to choose from."""
-    field_ = value.field
     if len(value.numerator) > _MOST_FACTORED:
         return value
+    found = essentials(value)
+    return found[0] if len(found) == 1 else None
+
+
+def essentials(value: Quotient) -> list[Quotient]:
+    """The factors that may vanish, each once; none for a function that is too large to be factored."""
+    if len(value.numerator) > _MOST_FACTORED:
+        return []
     _, factors = value.numerator.factor()
-    candidates: list[Quotient] = []
-    for factor, _ in factors:
-        element = _through_monotone(field_.polynomial(factor))
-        if not never_zero(element):
-            candidates.append(element)
-    unique = {str(c.numerator): c for c in candidates}
-    return next(iter(unique.values())) if len(unique) == 1 else None
+    elements = [_through_monotone(value.field.polynomial(factor)) for factor, _ in factors]
+    return list({str(e.numerator): e for e in elements if not never_zero(e)}.values())
 
 
 def _through_monotone(element: Quotient) -> Quotient:
@@ -145,3 +154,28 @@ def short(value: Quotient) -> str:
     long = value.is_polynomial() and len(value.numerator) > _SHORT // 4 + 1  # a term and a sign take four characters
     text = "" if long else formula(value)
     return text if 0 < len(text) <= _SHORT else "an expression of the others"
+
+
+def is_entire(value: Quotient) -> bool:
+    """Whether the function is certainly analytic on the whole space, and so determined by its values near a point."""
+    atoms = value.field.atoms.values()
+    return value.is_polynomial() and all(a.kind in _ENTIRE_KINDS and a.argument.is_polynomial() for a in atoms)
+
+
+def certainly_varies(plant: Plant, expression: ca.SX, symbols: ca.SX) -> bool:
+    """Whether the expression is certainly not zero at some rational point: then it is not zero in disguise.
+
+    Args:
+        plant: gives the parameters their values.
+        expression: a scalar of the symbols and the parameters.
+        symbols: a column.
+    """
+    tape = Tape.of([symbols, plant.parameter_symbols], [expression])
+    parameters = reals(plant.parameter_values)
+    for start in range(len(WEIGHTS)):
+        point = [rational(WEIGHTS[(start + k) % len(WEIGHTS)]) for k in range(symbols.numel())]
+        with precision(BITS):
+            value = tape.walk(REAL, [point, parameters])[0].scalar(ZERO)
+        if is_finite(value) and sign(value) in (1, -1):
+            return True
+    return False

@@ -13,28 +13,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
-from flint import fmpq
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.passivity.construction import drift_by_construction
 from pbcgen.passivity.equation import (
     affine,
+    certainly_varies,
     combination,
     eliminated,
     essential,
+    essentials,
     is_combination,
+    is_entire,
     linear_in,
     never_zero,
     parts,
     short,
 )
-from pbcgen.passivity.plant import Plant
-from pbcgen.passivity.structure import PowerStructure
-from pbcgen.proof.elimination import definite
-from pbcgen.proof.nonnegative import positive
-from pbcgen.proof.squares import decompose
+from pbcgen.passivity.flow import Flow
 from pbcgen.symbolic.field import Field, Quotient, evaluate
-from pbcgen.symbolic.linear import CONSTANT, Row, reduce_rows
+from pbcgen.symbolic.linear import CONSTANT, Row
 from pbcgen.symbolic.tape import Tape
 
 #: Lie derivatives of an equation are followed up to this many times the number of states.
@@ -43,129 +40,10 @@ _ROUNDS = 3
 #: Equations beyond these sizes are given up: nonlinear ones grow with every Lie derivative.
 _LARGEST_TAPE = 1500
 _MOST_TERMS = 600
-#: A dissipation that varies is looked at by blocks for at most so many states.
-_LARGEST_VARYING = 30
+#: How many branches may be followed, and how many products one after the other may be split.
+_MOST_BRANCHES, _DEEPEST = 8, 4
 #: Instructions of all the expressions that one elimination may look at: some seconds of work.
 _BUDGET = 25_000
-
-
-@dataclass(frozen=True, eq=False)
-class Flow:
-    """What moves on the invariant set: ``x' = f + g (u_c + ubar)`` with constant ubar.
-
-    Attributes:
-        plant: the system.
-        constant: the m symbols ubar.
-        drift: n x 1 expression of x, ubar and the parameters, that x' equals on the set.
-        base: equations that hold on the set from the start, a column.
-    """
-
-    plant: Plant
-    constant: ca.SX
-    drift: ca.SX
-    base: ca.SX
-
-
-def flow(
-    plant: Plant, structure: PowerStructure, gamma: ca.SX, compensation: ca.SX | None, still: ca.SX | None = None
-) -> Flow:
-    """The flow on the set where the dissipation vanishes and gamma (and ``still``) is constant.
-
-    Args:
-        plant: the system.
-        structure: a power structure that proves Assumption 1, with grad gamma = -F^-1 g (or -A g).
-        gamma: m x 1.
-        compensation: u_c, m x 1, or None.
-        still: other functions that are constant on the set (eta for natural damping), or None.
-    """
-    system = plant.system
-    ubar = ca.SX.sym("ubar", system.m)
-    u = ubar if compensation is None else compensation + ubar
-    mechanics = system.mechanical
-    if mechanics is not None and _velocity_vanishes(plant, structure, gamma):
-        force = ca.mtimes(mechanics.G, u) - ca.gradient(mechanics.V, mechanics.q)
-        return Flow(plant, ubar, ca.SX(system.n, 1), ca.vertcat(mechanics.p, force))
-    drift = system.f + ca.mtimes(system.g, u)
-    psi = ca.jacobian(gamma, system.x).T
-    v = plant.gradient - ca.mtimes(psi, u) if structure.form == "F" else drift
-    rest = [_without_loss(plant, structure.dissipation(), v), ca.dot(structure.remainder, plant.gradient)]
-    rest.append(ca.mtimes(psi.T, drift))
-    if still is not None:
-        rest.append(ca.mtimes(ca.jacobian(still, system.x), drift))
-    return Flow(plant, ubar, drift, ca.vertcat(*rest))
-
-
-def flow_by_balance(plant: Plant, gamma: ca.SX, compensation: ca.SX | None) -> Flow:
-    """The same without a power structure: ``u^T gamma' - S'`` is nowhere negative, and zero on the set; so is gamma'.
-
-    Raises UnsupportedOperation for models that are not analytic.
-    """
-    system = plant.system
-    ubar = ca.SX.sym("ubar", system.m)
-    u = ubar if compensation is None else compensation + ubar
-    rate = ca.mtimes(ca.jacobian(gamma, system.x), system.xdot)
-    loss = ca.dot(system.u, rate) - ca.dot(plant.gradient, system.xdot)
-    _, (value,) = plant.exact(loss)
-    squares = decompose(value.scalar(value.entries[0, 0].field.const(0))) if value.entries else []
-    alone = [plant.expression(square.vector[0]) for square in squares or [] if not square.factors]
-    base = ca.substitute(ca.vertcat(loss, *alone, rate), system.u, u)
-    drift = system.f + ca.mtimes(system.g, u)
-    return Flow(plant, ubar, drift, base)
-
-
-def _without_loss(plant: Plant, B: ca.SX, v: ca.SX) -> ca.SX:
-    """``B v = 0``, with ``v_k = 0`` for the blocks of a varying B that are definite."""
-    lost = ca.mtimes(B, v)
-    if not ca.depends_on(B, plant.system.x) or B.shape[0] > _LARGEST_VARYING:
-        return lost
-    try:
-        field_, (matrix,) = plant.exact(B)
-    except (UnsupportedOperation, ZeroDivisionError):
-        return lost
-    dense = matrix.dense(field_.const(0))
-    rows = [lost[k] for k in range(len(dense))]
-    for block in _blocks(dense):
-        if definite([[dense[i][j] for j in block] for i in block]):
-            for k in block:
-                rows[k] = v[k]
-    return ca.vertcat(*rows)
-
-
-def _blocks(matrix: Sequence[Sequence[Quotient]]) -> list[list[int]]:
-    """Positions that the entries of a symmetric matrix join."""
-    left, blocks = set(range(len(matrix))), []
-    while left:
-        block, edge = set(), {min(left)}
-        while edge:
-            block |= edge
-            edge = {j for i in edge for j in left - block if not matrix[i][j].is_zero()}
-        blocks.append(sorted(block))
-        left -= block
-    return blocks
-
-
-def _velocity_vanishes(plant: Plant, structure: PowerStructure, gamma: ca.SX) -> bool:
-    """Whether q' = 0 on the set: ``D q' = 0`` and ``gamma' = (d gamma/dq) q' = 0`` have no other solution.
-
-    Then p = 0 too, because M > 0, and p' = G u - grad V vanishes with it: nothing needs to be known of M.
-    """
-    system, mechanics = plant.system, plant.system.mechanical
-    assert mechanics is not None
-    if not (structure.known and plant.gradient_is_exact and drift_by_construction(system)):
-        return False
-    if ca.depends_on(gamma, mechanics.p):
-        return False
-    try:
-        field_, (damping, slope) = plant.exact(ca.diag(mechanics.D), ca.jacobian(gamma, mechanics.q))
-    except (UnsupportedOperation, ZeroDivisionError):
-        return False
-    zero = field_.const(0)
-    rows: list[Row] = [{k: fmpq(1)} for k, entry in enumerate(damping.column(zero)) if positive(entry)]
-    for line in slope.dense(zero):
-        numbers = [entry.constant() for entry in line]
-        if all(number is not None for number in numbers):
-            rows.append(dict(enumerate(numbers)))
-    return len(reduce_rows(rows)) == mechanics.q.numel()
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +69,14 @@ class InvariantSet:
     steps: tuple[str, ...]
 
 
+class _Split(Exception):
+    """An equation is a product; along a trajectory, which is analytic, one of its factors vanishes all the time."""
+
+    def __init__(self, factors: list[ca.SX]) -> None:
+        super().__init__("one of several factors vanishes")
+        self.factors = factors
+
+
 @dataclass
 class _Elimination:
     flow: Flow
@@ -203,6 +89,7 @@ class _Elimination:
     budget: int = _BUDGET
     spent: int = 0
     resting: bool = False
+    splitting: bool = False
 
     @property
     def states(self) -> int:
@@ -285,12 +172,33 @@ class _Elimination:
             if self._rests(waiting):
                 self._settle(waiting)
                 return True
-            fresh = self.nonzero(self._derivatives(waiting))
+            if self.splitting:
+                self._split(waiting)
+            fresh = self.nonzero([*self._derivatives(waiting), *self._stopped(waiting)])
             if not fresh:
                 self.pending = self.nonzero(waiting)
                 return True
             queue = [*waiting, *fresh]
         return False
+
+    def _split(self, waiting: Sequence[ca.SX]) -> None:
+        """Raise _Split for the first equation that is a product of functions that may vanish."""
+        for expression in waiting:
+            _, (value,) = self.exact(self.substitute(expression))
+            factors = essentials(value)
+            if 1 < len(factors) <= _MOST_BRANCHES:
+                raise _Split([self.to_sx(factor) for factor in factors])
+
+    def _stopped(self, waiting: Sequence[ca.SX]) -> list[ca.SX]:
+        """Rates of states that an equation of their own holds: the zeros of an analytic function are isolated."""
+        if not waiting:
+            return []
+        _, values = self.exact(*ca.vertsplit(self.substitute(ca.vertcat(*waiting))))
+        alone = [(value, min(value.symbols())) for value in values if len(value.symbols()) == 1 and is_entire(value)]
+        return [self.flow.drift[k] for value, k in alone if k < self.states and self._varies(value)]
+
+    def _varies(self, value: Quotient) -> bool:
+        return certainly_varies(self.flow.plant, self.to_sx(value), ca.vertcat(*self.symbols))
 
     def _rests(self, waiting: Sequence[ca.SX]) -> bool:
         """Whether the velocities of the states that are left are combinations of functions that vanish on the set.
@@ -428,20 +336,47 @@ def invariant_set(
     Raises:
         UnsupportedOperation: for models that are not analytic, and when the equations grow beyond the budget.
     """
-    plant = flow_.plant
-    m = plant.system.m
     base, drift = flow_.base, flow_.drift
     if extra is not None:
         base = ca.vertcat(base, extra)
     if fixed is not None:
         base = ca.substitute(base, flow_.constant, fixed)
         drift = ca.substitute(drift, flow_.constant, fixed)
+    return _reduced(Flow(flow_.plant, flow_.constant, drift, base), False, budget)
+
+
+def branches(flow_: Flow) -> list[InvariantSet]:
+    """The invariant set as a union: where an equation is a product, one branch for each factor; none if too many.
+
+    Raises:
+        UnsupportedOperation: for models that are not analytic, and when the equations grow beyond the budget.
+    """
+    waiting: list[list[ca.SX]] = [[]]
+    done: list[InvariantSet] = []
+    while waiting:
+        assumed = waiting.pop()
+        try:
+            base = ca.vertcat(flow_.base, *assumed)
+            done.append(
+                _reduced(Flow(flow_.plant, flow_.constant, flow_.drift, base), len(assumed) < _DEEPEST, _BUDGET // 4)
+            )
+        except _Split as found:
+            waiting += [[*assumed, factor] for factor in found.factors]
+        if len(waiting) + len(done) > _MOST_BRANCHES:
+            return []
+    return done
+
+
+def _reduced(flow_: Flow, splitting: bool, budget: int) -> InvariantSet:
+    """Raises _Split where an equation is a product, if that is wanted."""
+    plant = flow_.plant
+    m = plant.system.m
     symbols = [*ca.vertsplit(plant.system.x), *ca.vertsplit(flow_.constant)]
     names = [*plant.system.state_names, *[f"ubar_{i + 1}" if m > 1 else "ubar" for i in range(m)]]
-    work = _Elimination(Flow(plant, flow_.constant, drift, base), names, symbols, budget=budget)
+    work = _Elimination(flow_, names, symbols, budget=budget, splitting=splitting)
     closed = work.run()
     n = plant.system.n
-    resting = work.resting or (closed and not work.nonzero(ca.vertsplit(drift)))
+    resting = work.resting or (closed and not work.nonzero(ca.vertsplit(flow_.drift)))
     return InvariantSet(
         {k: v for k, v in work.solved.items() if k < n},
         tuple(k for k in range(n) if k not in work.solved),

@@ -273,3 +273,35 @@ def test_resistors_with_varying_slopes_leave_nothing_that_moves(slope, expected)
     system = Circuit([i], [a, b], L=[1], C=[1, 2], Gamma=[[1, 0]], v_R=[i / 2], i_G=sources, g_L=[-1])
     found = _statuses(system, {"a": "0.5"}, near={"b": 0})[2]
     assert (found == "PROVED") == (expected == "PROVED")
+
+
+#: Potentials of two unit masses, of which the first is actuated and neither is damped.
+_SEEN = {
+    "a square": lambda a, b: a**2 + b**2 + a * b**2 / 3 + b**4 / 4,
+    "a cube": lambda a, b: a**2 / 2 + b**2 / 2 + a * b**3 / 6 + a**4 / 4 + b**4 / 4,
+    "a cosine": lambda a, b: a**2 + b**2 / 2 + a * (1 - ca.cos(b)),
+}
+
+
+@pytest.mark.parametrize("name", _SEEN)
+def test_a_mode_that_the_output_sees_nonlinearly_is_damped(name):
+    """On the invariant set a nonlinear function of b is constant: its rate is a product, and each factor stops b."""
+    system = _two_masses(_SEEN[name], lambda *_: [0, 0])
+    assert _statuses(system, {"q1": 0}, near={"q2": 0})[:2] == ("PROVED", "PROVED")
+
+
+def test_a_branch_on_which_something_moves_is_not_attractive():
+    """Where q1 = 0, the other coordinate swings; the product q1 q2 = 0 has this branch too."""
+    q1, q2, p1, p2, u = _symbols("q1", "q2", "p1", "p2", "u")
+    rates = [p1, p2, -q1 - q1 * p2, -q2 + q1 * p1]
+    system = AffineSystem([q1, q2, p1, p2], [u], rates, [0, 0, 1, 0], (q1**2 + q2**2 + p1**2 + p2**2) / 2)
+    statuses = _statuses(system, {"q1": 0}, near={"q2": 0})
+    assert statuses[0] == "PROVED"
+    assert "PROVED" not in statuses[1:]
+
+
+def test_a_symmetric_mode_is_not_damped_by_springs_that_stiffen():
+    q, p = ca.SX.sym("q", 3), ca.SX.sym("p", 3)
+    V = sum(((a - q[1]) ** 2 / 2 + (a - q[1]) ** 4 / 4 for a in (q[0], q[2])), q[1] ** 2 / 2)
+    system = Mechanical(q, p, M=ca.SX.eye(3), V=V, G=[[0], [1], [0]])
+    assert "PROVED" not in _statuses(system, {"q_1": 0}, near={"q_0": 0, "q_2": 0})[1:]

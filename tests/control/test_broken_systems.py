@@ -10,7 +10,8 @@ import pytest
 from flint import fmpq
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical, check
-from pbcgen.passivity.lasalle import flow, invariant_set
+from pbcgen.passivity.flow import flow
+from pbcgen.passivity.lasalle import invariant_set
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.storage import assumption_1
 from pbcgen.passivity.structure import power_structure

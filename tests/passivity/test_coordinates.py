@@ -30,6 +30,7 @@ CASES = {
     "a product": ((x * y, y), False, False),
     "a factor that vanishes": ((x * (1 + y), y), False, False),
     "a factor that does not": ((x * (1 + y**2), y), True, True),
+    "flat on one side": ((ca.sqrt(x**2) + x, y), False, False),
     "waves": ((ca.sin(x) + x / 2, y), False, False),
 }
 
