@@ -8,7 +8,7 @@ from fractions import Fraction
 from typing import Any
 
 from pbcgen.control.family import LoopFamily
-from pbcgen.control.linearisation import spectral
+from pbcgen.control.linearisation import seems_unstable, spectral
 from pbcgen.models.exact import decimal
 from pbcgen.models.laws import Integral, Law, PassiveOutput
 from pbcgen.proof.claim import Status
@@ -76,7 +76,9 @@ def gain_change(
             candidate = scaled(law, factors(t))
             if not acceptable(candidate):
                 return False
-            return spectral(family.loop(candidate), h, delay).status is Status.PROVED
+            loop = family.loop(candidate)
+            far = not delay and seems_unstable(loop, h)
+            return not far and spectral(loop, h, delay).status is Status.PROVED
 
         milder = [t for t in tried if best is None or t > best[0]]
         t = next((t for t in milder if good(t)), None)  # each is tested: the good ones need not be an interval

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 
+import numpy as np
 from flint import acb, arb
 
 from pbcgen.control.transition import Basis, LinearLoop, Transition, complex_matrix, midpoints
@@ -21,6 +22,8 @@ _RATIO = 1.4
 _LEAP, _CLOSE = 4, 1.02
 #: The shortest that is examined, as a share of the first one.
 _SHORTEST = 1e-12
+#: A spectral radius beyond this in double precision is no rounding.
+_FAR = 1.01
 
 
 def spectral(loop: LinearLoop, h: Fraction, delay: Fraction = Fraction(0)) -> Stability:
@@ -29,6 +32,30 @@ def spectral(loop: LinearLoop, h: Fraction, delay: Fraction = Fraction(0)) -> St
         return schur(delayed_matrix(loop, h, delay) if delay else period_matrix(loop, h))
     except (OverflowError, ZeroDivisionError):
         return Stability(Status.UNDECIDED, math.nan, ())
+
+
+def seems_unstable(loop: LinearLoop, h: Fraction) -> bool:
+    """Whether the sampled loop is far from Schur stable in double precision; no proof, but it takes little time."""
+    from scipy.linalg import expm
+
+    A, B, H, r_m, r_xi, u_m, u_xi = (
+        np.array([[approximate(v) for v in row] for row in part], dtype=float).reshape(len(part), -1)
+        for part in (loop.A, loop.B, loop.H, loop.r_m, loop.r_xi, loop.u_m, loop.u_xi)
+    )
+    n, m = B.shape
+    period = float(h)
+    with np.errstate(all="ignore"):
+        held = expm(period * np.block([[A, B], [np.zeros((m, n + m))]]))
+        Ad, Bd = held[:n, :n], held[:n, n:]
+        if loop.r_xi:
+            step = np.linalg.inv(np.eye(len(r_xi)) - period * r_xi)
+            moved = period * step @ r_m @ H
+            matrix = np.block([[Ad + Bd @ (u_m @ H + u_xi @ moved), Bd @ u_xi @ step], [moved, step]])
+        else:
+            matrix = Ad + Bd @ u_m @ H
+    if not np.all(np.isfinite(matrix)):
+        return False
+    return bool(np.max(np.abs(np.linalg.eigvals(matrix))) > _FAR)
 
 
 def period_matrix(loop: LinearLoop, h: Fraction) -> RealMatrix:
@@ -155,8 +182,10 @@ class Examined:
     next: Fraction | None
 
 
-def examine(loop: LinearLoop, h: Fraction, end: Fraction, delay: Fraction = Fraction(0)) -> Examined:
+def examine(loop: LinearLoop, h: Fraction, end: Fraction, here: Stability, delay: Fraction = Fraction(0)) -> Examined:
     """Decide single periods from h on: shorter ones until one is stable, longer ones until one is not, then between.
+
+    ``here`` is the verdict at h.
 
     For loops that are too large to scan. Each period is a number of at most three digits, or h.
     """
@@ -164,7 +193,7 @@ def examine(loop: LinearLoop, h: Fraction, end: Fraction, delay: Fraction = Frac
     def stable(t: Fraction) -> bool:
         return spectral(loop, t, delay).status is Status.PROVED
 
-    good: Fraction | None = h if stable(h) else None
+    good: Fraction | None = h if here.status is Status.PROVED else None
     bad: Fraction | None = None if good else h
     while bad is not None and good is None:
         lower = _three_digits(float(bad) / _LEAP)

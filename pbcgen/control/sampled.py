@@ -318,7 +318,7 @@ def decide(
         open_end = found.exhausted and not small
         none = delay > 0 and found.stable_to == found.start
         if refused and hurwitz_at_target and (open_end or none):
-            singles = examine(loop, h, h * _REACH, delay)
+            singles = examine(loop, h, h * _REACH, here, delay)
     routes = Routes(h, h * (1 + sampling.jitter), storage, here, found, about, examined=singles)
     if sampling.jitter and not (routes.by_lyapunov and asymptotic.status is Status.PROVED):
         routes = replace(routes, jitter=jitter(loop, h, sampling.jitter, delay))

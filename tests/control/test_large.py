@@ -145,7 +145,8 @@ def test_a_refusal_of_a_large_loop_names_a_proved_period_and_gain_change(delay: 
 def test_no_period_of_an_unstable_loop_is_proved() -> None:
     found = derive(ladder(30, resistance="-5"))
     assert found.situation is not None
-    singles = examine(found.situation.loop, Fraction(1, 1000), Fraction(1))
+    loop, h = found.situation.loop, Fraction(1, 1000)
+    singles = examine(loop, h, Fraction(1), spectral(loop, h))
     assert singles.stable is None
     claim = {c.claim: c for c in found.claims}["sampled-stable"]
     assert claim.status is not Status.PROVED

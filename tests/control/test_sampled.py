@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from pbcgen import Design, DynamicExtension, Limits, Mechanical, ModelError, NaturalDamping, pipeline
+from pbcgen import Design, DynamicExtension, Limits, Mechanical, ModelError, NaturalDamping, PassiveOutput, pipeline
 from pbcgen.control.derive import derive
 from pbcgen.control.family import LoopFamily
 from pbcgen.control.gain_change import gain_change, scaled
 from pbcgen.control.jitter import jitter
-from pbcgen.control.linearisation import delayed_matrix, period_matrix
+from pbcgen.control.linearisation import delayed_matrix, period_matrix, seems_unstable, spectral
 from pbcgen.control.sampled import Sampling, radius_text
 from pbcgen.control.scan import scan
 from pbcgen.control.transition import LinearLoop, Transition
@@ -321,3 +321,22 @@ def test_a_gain_change_is_proved_for_the_wished_period():
     assert change is not None
     assert schur(delayed_matrix(family.loop(change.law), design.sample_period)).status is Status.PROVED
     assert schur(delayed_matrix(family.loop(found.law), design.sample_period)).status is Status.REFUTED
+
+
+@pytest.mark.parametrize("name", ["coupling_device", "rlc", "pera_integral", "passive output"])
+def test_gains_are_left_out_only_where_the_spectral_radius_is_large(name):
+    if name == "passive output":
+        q, p = ca.SX.sym("q"), ca.SX.sym("p")
+        system = Mechanical([q], [p], M=[1], V=q**2, D=[1], G=[1])
+        design = Design(system, {"q": 0}, PassiveOutput(alpha=4, beta=5, k_p=1), sample_period="1e-2")
+    else:
+        design = load(path(name))
+    loop = derive(design).situation.loop
+    seen = set()
+    for factor in (1, 10, 1000, 10**5):
+        h = design.sample_period * factor
+        radius = spectral(loop, h).extreme
+        assert seems_unstable(loop, h) == (radius > 1.01)
+        seen.add(radius > 1.01)
+    assert False in seen
+    assert True in seen or name == "passive output"
