@@ -327,7 +327,7 @@ def test_a_gain_change_is_proved_for_the_wished_period():
 def test_gains_are_left_out_only_where_the_spectral_radius_is_large(name):
     if name == "passive output":
         q, p = ca.SX.sym("q"), ca.SX.sym("p")
-        system = Mechanical([q], [p], M=[1], V=q**2, D=[1], G=[1])
+        system = Mechanical([q], [p], M=[1], V=q**2, D=[1], G=[1], measured=["q", "p"])
         design = Design(system, {"q": 0}, PassiveOutput(alpha=4, beta=5, k_p=1), sample_period="1e-2")
     else:
         design = load(path(name))
