@@ -8,6 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 from flint import acb, arb
+from numpy.typing import NDArray
 
 from pbcgen.control.transition import Basis, LinearLoop, Transition, complex_matrix, midpoints
 from pbcgen.passivity.shaping import add, diagonal, multiply
@@ -38,21 +39,22 @@ def seems_unstable(loop: LinearLoop, h: Fraction) -> bool:
     """Whether the sampled loop is far from Schur stable in double precision; no proof, but it takes little time."""
     from scipy.linalg import expm
 
-    A, B, H, r_m, r_xi, u_m, u_xi = (
-        np.array([[approximate(v) for v in row] for row in part], dtype=float).reshape(len(part), -1)
-        for part in (loop.A, loop.B, loop.H, loop.r_m, loop.r_xi, loop.u_m, loop.u_xi)
-    )
-    n, m = B.shape
+    def doubles(part: RealMatrix, columns: int) -> NDArray[np.float64]:
+        return np.array([[approximate(v) for v in row] for row in part]).reshape(len(part), columns)
+
+    n, m, xi, measured = len(loop.A), len(loop.B[0]), len(loop.r_xi), len(loop.H)
+    A, B, H, u_m = doubles(loop.A, n), doubles(loop.B, m), doubles(loop.H, n), doubles(loop.u_m, measured)
+    r_m, r_xi, u_xi = doubles(loop.r_m, measured), doubles(loop.r_xi, xi), doubles(loop.u_xi, xi)
     period = float(h)
-    with np.errstate(all="ignore"):
-        held = expm(period * np.block([[A, B], [np.zeros((m, n + m))]]))
-        Ad, Bd = held[:n, :n], held[:n, n:]
-        if loop.r_xi:
-            step = np.linalg.inv(np.eye(len(r_xi)) - period * r_xi)
+    try:
+        with np.errstate(all="ignore"):
+            held = expm(period * np.block([[A, B], [np.zeros((m, n + m))]]))
+            step = np.linalg.inv(np.eye(xi) - period * r_xi)
             moved = period * step @ r_m @ H
-            matrix = np.block([[Ad + Bd @ (u_m @ H + u_xi @ moved), Bd @ u_xi @ step], [moved, step]])
-        else:
-            matrix = Ad + Bd @ u_m @ H
+            driven = held[:n, n:] @ np.hstack([u_m @ H + u_xi @ moved, u_xi @ step])
+            matrix = np.vstack([np.hstack([held[:n, :n], np.zeros((n, xi))]) + driven, np.hstack([moved, step])])
+    except np.linalg.LinAlgError:
+        return False
     if not np.all(np.isfinite(matrix)):
         return False
     return bool(np.max(np.abs(np.linalg.eigvals(matrix))) > _FAR)
