@@ -316,12 +316,26 @@ def validate(
     """Compile the C of the design and test it; see :func:`pbcgen.run.validate.validate`."""
     from pbcgen.run.validate import validate as run
 
+    _require_start(design)
     report = _with_tanh(check(design, progress), tanh)
     rendered = package(report, allow=allow)
     assert report.control is not None
     assert report.loop is not None
     more = {} if steps is None else {"steps": steps}
     return run(report.control, rendered, report.loop, report.derivation.relaw, progress=progress, **more)
+
+
+def _require_start(design: Design) -> None:
+    """Raise ModelError for a run that would begin where the model is not stated."""
+    system = design.system
+    for name, value in zip(system.state_names, design.initial, strict=True):
+        lo, hi = system.domain.get(name, (None, None))
+        if (lo is not None and value < lo) or (hi is not None and value > hi):
+            ends = f"[{float('-inf') if lo is None else float(lo):g}, {float('inf') if hi is None else float(hi):g}]"
+            raise ModelError(
+                f"the run would begin at {name} = {float(value):g}, outside of its domain {ends}: give a start "
+                f"inside by initial={{{name!r}: ...}}"
+            )
 
 
 def simulate(design: Design, *, allow: Sequence[str] = (), progress: Progress = None) -> Simulation:
@@ -331,6 +345,7 @@ def simulate(design: Design, *, allow: Sequence[str] = (), progress: Progress = 
     from pbcgen.run.simulate import simulate_continuous, simulate_sampled
     from pbcgen.run.wrapper import Controller
 
+    _require_start(design)
     report = check(design, progress)
     rendered = package(report, allow=allow)
     assert report.control is not None

@@ -20,7 +20,7 @@ from pbcgen import (
     pipeline,
 )
 from pbcgen.control.law import VectorSolve
-from pbcgen.errors import EmitError, NotProved
+from pbcgen.errors import EmitError, ModelError, NotProved
 from pbcgen.models.loader import load
 from pbcgen.run.simulate import PythonStepper, simulate_continuous, simulate_sampled
 
@@ -295,3 +295,14 @@ def test_formulas_show_numbers_of_the_model_and_not_their_symbols():
     (gamma,) = pipeline.check(Design(system, {"x_0": 1}, law, sample_period="1e-2")).derived["gamma"]
     assert "c_" not in gamma
     assert [eval(gamma, {"x_0": a, "x_1": b}) for a, b in ((1, 0), (0, 1))] == pytest.approx([1 / 1.4] * 2)
+
+
+@pytest.mark.parametrize("run", [pipeline.simulate, pipeline.validate])
+def test_a_run_that_would_begin_outside_of_the_domain_names_the_state(run):
+    h, q = ca.SX.sym("h"), ca.SX.sym("q")
+    tank = AffineSystem([h], [q], [-ca.sqrt(h)], [1], 2 * h * ca.sqrt(h) / 3, domain={"h": ("0.1", 2)})
+    law = DynamicExtension(alpha="0.4", beta=1, K_c=1, R_c=1)
+    design = Design(tank, {"h": 1}, law, sample_period="1e-2", name="tank")
+    with pytest.raises(ModelError, match=r"begin at h = 0, outside of its domain \[0.1, 2\].*initial=\{'h'"):
+        run(design)
+    assert pipeline.simulate(design.with_(initial={"h": "0.5"})).continuous.x[-1, 0] == pytest.approx(1, abs=0.05)
