@@ -23,6 +23,8 @@ from pbcgen.run.simulate import simulate_sampled
 from pbcgen.run.wrapper import Controller
 from pbcgen.symbolic.real import BITS, approximate, ball, precision, rational
 
+pytestmark = pytest.mark.system
+
 RLC = load("rlc")
 BOX = {"x3": ("2.9", "3.0515")}
 
@@ -124,7 +126,6 @@ def test_a_box_beyond_the_turning_point_of_the_equilibrium_is_undecided_with_adv
         pipeline.package(pipeline.check(design))
 
 
-@pytest.mark.system
 @pytest.mark.parametrize(("precision", "error"), [("float", 3e-7), ("double", 2e-15)])
 def test_the_c_solves_for_the_equilibrium_of_a_target_without_formula(precision, error) -> None:
     report = pipeline.check(forced("cubic", "0.625", "0.5", ("0.5", "1")).with_(precision=precision))
@@ -317,7 +318,6 @@ def test_bad_ranges_are_named(options, message: str) -> None:
         RLC.with_(**options)
 
 
-@pytest.mark.system
 def test_the_c_moves_the_plant_to_another_target() -> None:
     design = RLC.with_(target_box=BOX)
     report = pipeline.check(design)
@@ -342,7 +342,6 @@ def test_the_c_moves_the_plant_to_another_target() -> None:
         assert controller.step(x3=float("nan"))["u"] == pytest.approx(2.95, abs=1e-6)  # -kappa of this target
 
 
-@pytest.mark.system
 def test_validation_tries_targets_and_gains() -> None:
     design = RLC.with_(target_box=BOX, gain_ranges={"alpha": ("0.04", "0.0485"), "K_c": (5, 20), "R_c": (8, 12)})
     validation = pipeline.validate(design, steps=200)
@@ -352,7 +351,6 @@ def test_validation_tries_targets_and_gains() -> None:
     assert validation.as_json()["settings"]["mismatches"] == 0
 
 
-@pytest.mark.system
 def test_a_start_without_a_jump_gives_the_equilibrium_input() -> None:
     from pbcgen.emit import Extras
 

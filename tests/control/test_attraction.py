@@ -10,6 +10,8 @@ from pbcgen import Design, DynamicExtension, Mechanical, check, load
 from pbcgen.pipeline import region
 from pbcgen.run.simulate import simulate_continuous
 
+pytestmark = pytest.mark.system
+
 
 def _pendulum(law, **options):
     q, p = ca.SX.sym("q"), ca.SX.sym("p")
@@ -62,7 +64,6 @@ def test_a_globally_stable_design_has_the_whole_space():
     assert found.contains([1e6, -1e6, 3])
 
 
-@pytest.mark.system
 def test_without_a_lyapunov_function_there_is_no_region():
     found = region(check(load("coupling_device")), 1000)
     assert found.status == "UNDECIDED"

@@ -11,6 +11,8 @@ from pbcgen import Design, DynamicExtension, Limits, Mechanical, Parameters, Pot
 from pbcgen.models.laws import Law
 from pbcgen.proof.claim import Claim
 
+pytestmark = pytest.mark.system
+
 X, A = ca.SX.sym("x"), ca.SX.sym("a")
 COMPENSATION = PotentialCompensation(alpha=[20, 20], beta=1, K_c=1, R_c=1)
 EXTENSION = DynamicExtension(alpha=[20, 20], beta=1, K_c=1, R_c=1)

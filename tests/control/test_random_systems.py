@@ -14,6 +14,8 @@ from pbcgen.control.step import ReferenceStep
 from pbcgen.pipeline import certificate, check
 from pbcgen.verify.claims import examine
 
+pytestmark = pytest.mark.system
+
 #: Relative to the size of what is compared: above rounding and finite differences, below every real defect.
 TOLERANCE = 1e-6
 

@@ -32,6 +32,8 @@ from pbcgen.models.loader import load
 from pbcgen.proof.claim import Status
 from pbcgen.proof.spectrum import schur
 
+pytestmark = pytest.mark.system
+
 
 def cart_pair():
     """Two carts that a spring joins, a force on each: m = 2, no friction."""
@@ -82,7 +84,6 @@ def settling(design, duration):
     return response(trial.run(found.law, duration)).settling
 
 
-@pytest.mark.system
 def test_rlc_at_10_khz_is_stable_with_margin():
     design = load("rlc")
     tuning = tune(design, Wish(effort=40, margin=Fraction(2)))
@@ -96,7 +97,6 @@ def test_rlc_at_10_khz_is_stable_with_margin():
     assert any("u <= 3.1" in line for line in tuning.chosen.active)
 
 
-@pytest.mark.system
 def test_gains_meet_a_wish_on_the_pendulum():
     design = load("elastic_pendulum")
     tuning = tune(design, Wish(routes=("lyapunov",), settling=1.2, effort=80))
@@ -105,7 +105,6 @@ def test_gains_meet_a_wish_on_the_pendulum():
     assert tuning.chosen.unmet == ()
 
 
-@pytest.mark.system
 def test_two_inputs_and_a_polyhedron():
     design = cart_pair()
     tuning = tune(design, Wish(routes=("linearisation",), effort=80))
@@ -261,7 +260,6 @@ def test_command_prints_the_law_and_a_document(capsys, tmp_path):
     assert execute(["tune", "rlc", "-o", str(law)]) == 1
 
 
-@pytest.mark.system
 def test_coupling_device_by_linearisation_settles_within_1_3_seconds():
     tuning = tune(load("coupling_device"), Wish(routes=("linearisation",), settling=1.3, effort=150))
     assert pipeline.check(tuning.design).emittable
@@ -269,7 +267,6 @@ def test_coupling_device_by_linearisation_settles_within_1_3_seconds():
     assert settling(load("coupling_device"), 20) == pytest.approx(10.8, abs=0.1)
 
 
-@pytest.mark.system
 def test_coupling_device_by_lyapunov_is_limited_by_its_natural_damping():
     tuning = tune(load("coupling_device"), Wish(routes=("lyapunov",), effort=200))
     assert {"theta", "assumption-3", "kc-bound", "sampled-stable"} <= proved(tuning.design)
@@ -277,7 +274,6 @@ def test_coupling_device_by_lyapunov_is_limited_by_its_natural_damping():
     assert any("no lower than -0.022" in note for note in tuning.chosen.notes)
 
 
-@pytest.mark.system
 def test_the_arm_without_friction_gets_gains_for_1_khz(tmp_path):
     from tests.control.test_sampled import frictionless_arm
 

@@ -16,6 +16,8 @@ from pbcgen.control.solves import with_tanh
 from pbcgen.emit import render
 from pbcgen.emit.wording import DEVIATIONS
 
+pytestmark = pytest.mark.system
+
 MAKERS = {
     "two_channels": lambda: laws.two_channels("float", Fallback.LAST_OUTPUT),
     "fast": lambda: with_tanh(laws.two_channels("double"), "fast"),
@@ -79,7 +81,6 @@ def needs(*tools: str) -> pytest.MarkDecorator:
     return pytest.mark.skipif(bool(missing), reason=f"{', '.join(missing)} is missing")
 
 
-@pytest.mark.system
 @needs("cppcheck")
 def test_cppcheck_and_misra_find_the_listed_deviations_only(package):
     prefix, directory = package
@@ -101,7 +102,6 @@ def test_the_sanitizers_find_nothing_for_random_bits(package):
     run(["./sanitized"], cwd=directory)
 
 
-@pytest.mark.system
 @needs("cc", "valgrind")
 def test_valgrind_finds_nothing(package):
     prefix, directory = package

@@ -13,6 +13,8 @@ from compiled import WARNINGS, ZIG, compiler, run
 
 from pbcgen.emit import render
 
+pytestmark = pytest.mark.system
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -48,7 +50,6 @@ def test_cpp_compiles_without_a_warning(packages, language, tmp_path):
         run([*compiler(), "-xc++", *language.split(), *warnings, "-c", source], cwd=tmp_path)
 
 
-@pytest.mark.system
 @pytest.mark.parametrize("language", ["-std=c99", "-std=c23", "-xc++ -std=c++17"])
 def test_clang_compiles_without_a_warning(packages, language, tmp_path):
     pytest.importorskip("ziglang")
@@ -98,7 +99,6 @@ def test_the_makefile_builds_and_runs_the_example(packages):
         run(["make", "-s", "clean"], cwd=directory)
 
 
-@pytest.mark.system
 @pytest.mark.parametrize("how", ["add_subdirectory", "find_package"])
 def test_a_consumer_builds_with_cmake(how, tmp_path):
     if not shutil.which("cmake") or not shutil.which("cc"):

@@ -20,6 +20,8 @@ from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import all_stable, inverse, zero_order_hold
 from pbcgen.symbolic.plain.values import Dual, partial, plain, variables
 
+pytestmark = pytest.mark.system
+
 ADJUSTABLE = "adjustable"
 WEAK = DynamicExtension(alpha="0.2", beta=1, K_c=1, R_c=1)
 

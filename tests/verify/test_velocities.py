@@ -19,6 +19,8 @@ from pbcgen.reading.velocity import solves
 from pbcgen.symbolic.plain.formulas import Formulas
 from pbcgen.symbolic.tape import Tape
 
+pytestmark = pytest.mark.system
+
 #: What rests on M^-1 p.
 RESTS = {"assumption-1", "passive-output"}
 

@@ -19,6 +19,8 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.proof.claim import Status
 from pbcgen.symbolic.plain.formulas import Malformed
 
+pytestmark = pytest.mark.system
+
 GLOBAL, LOCAL, SAMPLED = "globally-asymptotically-stable", "asymptotically-stable", "sampled-stable"
 
 
