@@ -15,7 +15,7 @@ from pbcgen.passivity.shaping import add, diagonal, multiply
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, inverse
 from pbcgen.proof.spectrum import Stability, schur, zero_order_hold
-from pbcgen.symbolic.real import BITS, ONE, approximate, ball, precision, rational
+from pbcgen.symbolic.real import BITS, ONE, approximate, ball, near_eigenvalues, precision, rational
 
 #: Periods of the estimate grow by this factor.
 _RATIO = 1.4
@@ -122,7 +122,7 @@ class Spectrum:
                 transition = Transition(loop, plant=self._plant)
                 values = _eigenvalues(transition, h)
                 longer = [] if margin == 1 else _eigenvalues(transition, h * margin)
-                slow = midpoints(transition.jet(arb(0)).c1).eig(algorithm="approx")
+                slow = near_eigenvalues(midpoints(transition.jet(arb(0)).c1))
             except (ValueError, ZeroDivisionError):
                 return None
             radius = max(float(v.abs_upper()) for v in [*values, *longer])
@@ -146,7 +146,7 @@ class Spectrum:
 
 
 def _eigenvalues(transition: Transition, h: Fraction) -> list[acb]:
-    return list(midpoints(transition.jet(ball(rational(h))).c0).eig(algorithm="approx"))
+    return near_eigenvalues(midpoints(transition.jet(ball(rational(h))).c0))
 
 
 def estimate(loop: LinearLoop, start: Fraction, end: Fraction) -> Fraction | None:

@@ -16,7 +16,18 @@ import numpy as np
 from flint import arb_mat, fmpq, fmpq_mat
 
 from pbcgen.proof.claim import Status
-from pbcgen.symbolic.real import ONE, ZERO, Real, approximate, ball, in_high_precision, midpoint, rational, sign
+from pbcgen.symbolic.real import (
+    ONE,
+    ZERO,
+    Real,
+    approximate,
+    ball,
+    in_high_precision,
+    midpoint,
+    near_eigenvalues,
+    rational,
+    sign,
+)
 
 RealMatrix = list[list[Real]]
 SparseRow = dict[int, Real]
@@ -241,7 +252,7 @@ def eigenvalues(matrix: Rows) -> list[float]:
         if np.all(np.isfinite(doubles)) and np.min(np.abs(doubles)) > _SHOWN_BY_DOUBLES * np.max(np.abs(doubles)):
             return [float(v) for v in doubles]
     centre = acb_mat([[ball(rational(midpoint(entry))) for entry in row] for row in dense(rows, len(rows))])
-    return sorted(float(midpoint(v.real)) for v in centre.eig(algorithm="approx"))
+    return sorted(float(midpoint(v.real)) for v in near_eigenvalues(centre))
 
 
 def smallest_eigenvalue(matrix: Rows, positive: bool) -> float:

@@ -25,6 +25,7 @@ from pbcgen.symbolic.real import (
     in_high_precision,
     is_finite,
     midpoint,
+    near_eigenvalues,
     precision,
     rational,
     sign,
@@ -94,7 +95,7 @@ def approximate_eigenvalues(matrix: RealMatrix) -> list[complex]:
         return _double_eigenvalues(matrix)
     with precision(ctx.prec if len(matrix) <= _PRECISE else _DISPLAY_BITS):
         middle = acb_mat([[ball(rational(midpoint(entry))) for entry in row] for row in matrix])
-        values = middle.eig(algorithm="approx")
+        values = near_eigenvalues(middle)
     return sorted((complex(float(midpoint(v.real)), float(midpoint(v.imag))) for v in values), key=lambda z: -z.real)
 
 

@@ -13,7 +13,7 @@ from fractions import Fraction
 from functools import wraps
 from typing import ParamSpec, TypeAlias, TypeVar
 
-from flint import arb, ctx, fmpq, fmpz
+from flint import acb, acb_mat, arb, ctx, fmpq, fmpz
 
 Real: TypeAlias = fmpq | arb
 
@@ -377,6 +377,16 @@ class RealAlgebra:
 
 #: The one instance that is needed: it has no state.
 REAL = RealAlgebra()
+
+
+def near_eigenvalues(matrix: acb_mat) -> list[acb]:
+    """Eigenvalues of a square matrix without bounds, at the precision that is set.
+
+    FLINT ends the QR iteration after 14 n + bits / 10 turns and does not say whether it has converged. Eigenvalues that
+    coincide without eigenvectors of their own need more.
+    """
+    turns = 10 * (14 * matrix.nrows() + ctx.prec)
+    return list(matrix.eig(algorithm="approx", maxiter=turns))
 
 
 def reals(values: Sequence[Fraction]) -> list[Real]:

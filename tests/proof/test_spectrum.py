@@ -2,10 +2,11 @@
 
 from fractions import Fraction
 from itertools import pairwise
+from random import Random
 
 import numpy as np
 import pytest
-from flint import arb, fmpq
+from flint import arb, fmpq, fmpq_mat
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
@@ -185,3 +186,15 @@ def test_the_hold_is_the_matrix_exponential():
 def test_eigenvalues_for_display_come_largest_real_part_first():
     values = approximate_eigenvalues(_matrix([[-1, 0], [0, -2]]))
     assert [round(z.real, 9) for z in values] == [-1, -2]
+
+
+def test_eigenvalues_for_display_are_right_where_some_coincide():
+    """Three critically damped modes on top of each other, seen through random coordinates, and an oscillation."""
+    modes = fmpq_mat(6, 6, [-20, 1, 0, 0, 0, 0] + [0, -20, 1, 0, 0, 0] + [0, 0, -20, 0, 0, 0] + [0] * 18)
+    for (i, j), value in {(3, 3): -1, (3, 4): 3, (4, 3): -3, (4, 4): -1, (5, 5): -44}.items():
+        modes[i, j] = value
+    drawn = Random(4)
+    turn = fmpq_mat(6, 6, [drawn.randint(-5, 5) for _ in range(36)])
+    values = approximate_eigenvalues((turn * modes * turn.inv()).tolist())
+    np.testing.assert_allclose([z.real for z in values], [-1, -1, -20, -20, -20, -44], atol=1e-9)
+    assert sorted(round(z.imag, 9) for z in values) == [-3, 0, 0, 0, 0, 3]
