@@ -1,4 +1,7 @@
-"""Equilibria of the closed loop besides x*: a search from many starts, confirmed by Krawczyk's test."""
+"""Equilibria of the closed loop besides x*: a search from many starts, confirmed by Krawczyk's test.
+
+Only those count at which the model is stated and its storage defined: formulas have zeros beyond both.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,9 @@ from numpy.typing import NDArray
 
 from pbcgen.control.situation import Situation
 from pbcgen.models.laws import Integral
+from pbcgen.passivity.region import Region
 from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
-from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, ball, precision, rational, sign
+from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, ball, is_finite, precision, rational, sign
 from pbcgen.symbolic.tape import Tape
 
 #: Starts of the search for other equilibria.
@@ -53,11 +57,22 @@ def other_rest(situation: Situation) -> list[Real] | None:
                 continue
             centre = polish(in_balls, list(zero))
             balls = None if centre is None else krawczyk(in_balls, centre)
-            if balls is not None and any(
-                sign(ball(b) - ball(s)) in (1, -1) for b, s in zip(balls[:n], situation.point.x, strict=True)
+            if (
+                balls is not None
+                and any(sign(ball(b) - ball(s)) in (1, -1) for b, s in zip(balls[:n], situation.point.x, strict=True))
+                and _is_state(situation, balls)
             ):
                 return balls[:n]
     return None
+
+
+def _is_state(situation: Situation, z: list[Real]) -> bool:
+    """Whether (x, u) in balls lies in the stated domain for sure, and the storage is defined there."""
+    plant, n = situation.plant, situation.plant.system.n
+    bounds = Region.stated(plant).bounds
+    below = all(lo is None or sign(v - rational(lo)) in (0, 1) for v, (lo, _) in zip(z[:n], bounds, strict=True))
+    above = all(hi is None or sign(rational(hi) - v) in (0, 1) for v, (_, hi) in zip(z[:n], bounds, strict=True))
+    return below and above and is_finite(plant.walk(plant.tape(plant.system.S), z[:n], z[n:])[0][0][0])
 
 
 def _with_gamma_kept(situation: Situation, star: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from functools import cached_property
 
-from flint import arb_mat, fmpq
+from flint import arb, arb_mat, fmpq
 
 from pbcgen.reading.growth import GLOBAL as _GLOBAL
 from pbcgen.reading.system import require
@@ -154,7 +154,9 @@ class Stability(Assumptions):
         require(box is not None, "Krawczyk's test does not hold")
         apart = [sign(a - b) for a, b in zip((box or [])[: self.n], self.point[0], strict=True)]
         require({1, -1} & {*apart}, "this may be x* again")
-        return None
+        state = (box or [])[: self.n]
+        require(self.inside(dict(zip(self.states, state, strict=True))), "the state is not in the domain")
+        return require(arb(self.walk(state)["S"][0][0]).is_finite(), "the storage is not defined there")
 
     # --- sampled ---------------------------------------------------------------------------------------------------
 

@@ -55,6 +55,24 @@ def test_damping_of_one_pendulum_reaches_the_symmetric_mode():
     assert claims["globally-asymptotically-stable"].status is REFUTED
 
 
+@pytest.mark.parametrize("domain", [None, {"q": (0, None)}])
+def test_a_rest_where_the_model_is_not_stated_refutes_nothing(domain):
+    """The spring 1 - 1/q has a rest at negative q too, where its energy q - log(q) is not defined."""
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    system = Mechanical([q], [p], M=[1], V=q - ca.log(q), D=[0.3], G=[1], domain=domain)
+    claims = _claims(system, {"q": 1}, alpha=2, beta=2, K_c=20)
+    assert claims["asymptotically-stable"].status is PROVED
+    assert claims["globally-asymptotically-stable"].status is UNDECIDED
+
+
+@pytest.mark.parametrize(("bounds", "status"), [((-3, 3), UNDECIDED), ((-4, 4), REFUTED)])
+def test_a_second_rest_counts_within_the_stated_domain(bounds, status):
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    system = Mechanical([q], [p], M=[1], V=2 - 2 * ca.cos(q), D=[0.3], G=[1], domain={"q": bounds})
+    claims = _claims(system, {"q": 0}, beta=2, K_c=20)
+    assert claims["globally-asymptotically-stable"].status is status
+
+
 def test_a_conserved_charge_is_not_asymptotically_stable():
     a, b, c, u = (ca.SX.sym(name) for name in "abcu")
     system = AffineSystem([a, b, c], [u], [b - a, a - b, -c], [0, 0, 1], (a**2 + b**2 + c**2) / 2)

@@ -4,6 +4,7 @@ import functools
 import json
 import re
 
+import casadi as ca
 import pytest
 from certificates import (
     IDLE,
@@ -17,9 +18,10 @@ from certificates import (
     spoiled,
 )
 
-from pbcgen import Design, DynamicExtension, Limits
+from pbcgen import Design, DynamicExtension, Limits, Mechanical
 from pbcgen.control.certificate import certificate
 from pbcgen.control.derive import derive
+from pbcgen.models.identity import canonical_text
 from pbcgen.symbolic.plain.formulas import Malformed
 
 #: Claims that the checker has a check for.
@@ -238,6 +240,19 @@ def test_formulas_cannot_stand_in_for_the_model():
     model = [line for line in good["model"] if re.match(r" |f |S ", line)]
     document["formulas"] = [*model, f"gamma 1x1 0,0:{_place(model, 'state 0')}"]
     assert outcomes(signed(document))["assumption-1"] == "fails"
+
+
+def test_a_second_rest_outside_of_the_domain_refutes_nothing():
+    """The wall that bounds q is written into the model of a certificate that has the rest beyond it."""
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    system = Mechanical([q], [p], M=[1], V=2 - 2 * ca.cos(q), D=[0.3], G=[1])
+    law = DynamicExtension(alpha=1, beta=2, K_c=20, R_c=1)
+    design = Design(system, target={"q": 0}, law=law, sample_period="1e-3")
+    document = json.loads(json.dumps(certificate(derive(design))))
+    assert outcomes(document)["globally-asymptotically-stable"] == "checked"
+    narrow = Mechanical([q], [p], M=[1], V=2 - 2 * ca.cos(q), D=[0.3], G=[1], domain={"q": (-3, 3)})
+    document["model"] = canonical_text(design.with_(system=narrow)).splitlines()
+    assert outcomes(signed(document))["globally-asymptotically-stable"] == "fails"
 
 
 def _place(lines, instruction):
