@@ -7,16 +7,14 @@ values is a matrix of mean slopes, each within its ball, times the difference of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-from flint import arb, arb_mat
+from flint import arb
 
 from pbcgen.proof.boxes import Box, halves, longest_side
-from pbcgen.proof.definite import RealMatrix, as_balls
+from pbcgen.proof.definite import RealMatrix, approximate_inverse, as_balls
+from pbcgen.proof.newton import System
 from pbcgen.symbolic.real import Real, ball, enclose, is_finite, midpoint, rational, sign
-
-#: The values and the Jacobian of a function at balls.
-System = Callable[[list[Real]], tuple[list[Real], RealMatrix]]
 
 
 def only_zero(system: System, zero: Sequence[Real], box: Box, boxes: int = 4000) -> bool:
@@ -48,14 +46,10 @@ def _regular(slopes: RealMatrix, at_zero: RealMatrix) -> bool:
     """Whether every matrix within the balls is regular: after multiplication with an inverse it is close to I."""
     if not all(is_finite(v) for row in (*slopes, *at_zero) for v in row):
         return False
-    size = len(slopes)
-    try:
-        inverse = as_balls(at_zero).inv()
-    except ZeroDivisionError:
+    y = approximate_inverse(at_zero)
+    if y is None:
         return False
-    y = arb_mat([[inverse[i, j].mid() for j in range(size)] for i in range(size)])
-    near = y * as_balls(slopes)
-    return all(_dominant([near[i, j] for j in range(size)], i) for i in range(size))
+    return all(_dominant(row, i) for i, row in enumerate((y * as_balls(slopes)).tolist()))
 
 
 def _dominant(row: Sequence[arb], i: int) -> bool:

@@ -282,6 +282,16 @@ def as_balls(matrix: RealMatrix) -> arb_mat:
     return arb_mat([[ball(entry) for entry in row] for row in matrix])
 
 
+def approximate_inverse(matrix: RealMatrix) -> arb_mat | None:
+    """An exact matrix close to the inverse, or None if there may be none: the preconditioner of interval methods."""
+    size = range(len(matrix))
+    try:
+        found = as_balls(matrix).inv()
+    except ZeroDivisionError:
+        return None
+    return arb_mat([[found[i, j].mid() for j in size] for i in size])
+
+
 def inverse(matrix: RealMatrix) -> RealMatrix | None:
     """The inverse, exact or enclosed; None if it may be singular."""
     try:

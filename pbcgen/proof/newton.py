@@ -10,7 +10,7 @@ import numpy as np
 from flint import arb, arb_mat
 from numpy.typing import NDArray
 
-from pbcgen.proof.definite import RealMatrix
+from pbcgen.proof.definite import RealMatrix, approximate_inverse, as_balls
 from pbcgen.symbolic.real import Real, ball, is_finite, midpoint, rational
 
 #: z -> (F(z), F'(z)) over balls.
@@ -82,10 +82,6 @@ def find_zeros(system: FloatSystem, search: Search) -> list[NDArray[np.float64]]
     return sorted(found, key=lambda z: np.round(z, 9).tolist())
 
 
-def _matrix(rows: RealMatrix) -> arb_mat:
-    return arb_mat([[ball(entry) for entry in row] for row in rows])
-
-
 def _is_moderate(step: arb, start: float) -> bool:
     """Whether a correction of a floating-point zero is small: a large one means that it was none."""
     return bool(step.is_finite() and abs(step) < arb(1 + abs(start)))
@@ -99,7 +95,7 @@ def polish(system: System, start: Sequence[float]) -> list[Fraction] | None:
         if not all(is_finite(v) for v in value):
             return None
         try:
-            step = _matrix(jacobian).solve(arb_mat([[ball(v)] for v in value]))
+            step = as_balls(jacobian).solve(arb_mat([[ball(v)] for v in value]))
         except ZeroDivisionError:
             return None
         if not all(_is_moderate(step[i, 0], a) for i, a in enumerate(start)):
@@ -125,12 +121,10 @@ def krawczyk(system: System, centre: Sequence[Fraction], radius: Fraction = Frac
     if not all(is_finite(v) for v in value) or not all(is_finite(v) for row in over_box for v in row):
         return None
     size = len(middle)
-    try:
-        inverse = _matrix(at_middle).inv()
-    except ZeroDivisionError:
+    y = approximate_inverse(at_middle)
+    if y is None:
         return None
-    y = arb_mat([[inverse[i, j].mid() for j in range(size)] for i in range(size)])
-    defect = arb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)]) - y * _matrix(over_box)
+    defect = arb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)]) - y * as_balls(over_box)
     offset = arb_mat([[arb(0, arb(r))] for r in half])
     image = arb_mat([[ball(m)] for m in middle]) - y * arb_mat([[ball(v)] for v in value]) + defect * offset
     balls = [image[i, 0] for i in range(size)]
