@@ -8,7 +8,7 @@ from fractions import Fraction
 from typing import Any
 
 from pbcgen.control.family import LoopFamily
-from pbcgen.control.linearisation import seems_unstable, spectral
+from pbcgen.control.linearisation import Spectrum, spectral
 from pbcgen.models.exact import decimal
 from pbcgen.models.laws import Integral, Law, PassiveOutput
 from pbcgen.proof.claim import Status
@@ -65,6 +65,7 @@ def gain_change(
     """
     best: tuple[Fraction, GainChange] | None = None
     tried = FACTORS if sum(family.loop(law).sizes[:2]) <= _LARGE else FACTORS[1::3]
+    spectrum = Spectrum(family.A)
     for move in _MOVES:
         if isinstance(law, PassiveOutput) and set(move) != {"alpha*beta"}:
             continue
@@ -77,8 +78,8 @@ def gain_change(
             if not acceptable(candidate):
                 return False
             loop = family.loop(candidate)
-            far = not delay and seems_unstable(loop, h)
-            return not far and spectral(loop, h, delay).status is Status.PROVED
+            beyond = None if delay else spectrum.beyond(loop, h)
+            return (beyond is None or beyond < _FAR) and spectral(loop, h, delay).status is Status.PROVED
 
         milder = [t for t in tried if best is None or t > best[0]]
         t = next((t for t in milder if good(t)), None)  # each is tested: the good ones need not be an interval
@@ -95,3 +96,5 @@ def _plain(value: Fraction) -> str:
 FACTORS = tuple(Fraction(n, 10**k) for k in (1, 2, 3) for n in ((8, 5, 4, 2) if k == 1 else (10, 8, 5, 4, 2)))
 #: For loops with more states only every third of them is tried.
 _LARGE = 50
+#: Loops whose spectral radius is beyond one by more than this are not tried in balls, which takes much longer.
+_FAR = 0.01

@@ -6,9 +6,7 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 
-import numpy as np
 from flint import acb, arb
-from numpy.typing import NDArray
 
 from pbcgen.control.transition import Basis, LinearLoop, Transition, complex_matrix, midpoints
 from pbcgen.passivity.shaping import add, diagonal, multiply
@@ -23,8 +21,6 @@ _RATIO = 1.4
 _LEAP, _CLOSE = 4, 1.02
 #: The shortest that is examined, as a share of the first one.
 _SHORTEST = 1e-12
-#: A spectral radius beyond this in double precision is no rounding.
-_FAR = 1.01
 
 
 def spectral(loop: LinearLoop, h: Fraction, delay: Fraction = Fraction(0)) -> Stability:
@@ -33,31 +29,6 @@ def spectral(loop: LinearLoop, h: Fraction, delay: Fraction = Fraction(0)) -> St
         return schur(delayed_matrix(loop, h, delay) if delay else period_matrix(loop, h))
     except (OverflowError, ZeroDivisionError):
         return Stability(Status.UNDECIDED, math.nan, ())
-
-
-def seems_unstable(loop: LinearLoop, h: Fraction) -> bool:
-    """Whether the sampled loop is far from Schur stable in double precision; no proof, but it takes little time."""
-    from scipy.linalg import expm
-
-    def doubles(part: RealMatrix, columns: int) -> NDArray[np.float64]:
-        return np.array([[approximate(v) for v in row] for row in part]).reshape(len(part), columns)
-
-    n, m, xi, measured = len(loop.A), len(loop.B[0]), len(loop.r_xi), len(loop.H)
-    A, B, H, u_m = doubles(loop.A, n), doubles(loop.B, m), doubles(loop.H, n), doubles(loop.u_m, measured)
-    r_m, r_xi, u_xi = doubles(loop.r_m, measured), doubles(loop.r_xi, xi), doubles(loop.u_xi, xi)
-    period = float(h)
-    try:
-        with np.errstate(all="ignore"):
-            held = expm(period * np.block([[A, B], [np.zeros((m, n + m))]]))
-            step = np.linalg.inv(np.eye(xi) - period * r_xi)
-            moved = period * step @ r_m @ H
-            driven = held[:n, n:] @ np.hstack([u_m @ H + u_xi @ moved, u_xi @ step])
-            matrix = np.vstack([np.hstack([held[:n, :n], np.zeros((n, xi))]) + driven, np.hstack([moved, step])])
-    except np.linalg.LinAlgError:
-        return False
-    if not np.all(np.isfinite(matrix)):
-        return False
-    return bool(np.max(np.abs(np.linalg.eigvals(matrix))) > _FAR)
 
 
 def period_matrix(loop: LinearLoop, h: Fraction) -> RealMatrix:
