@@ -26,7 +26,7 @@ from pbcgen.control.saturation import Range, Saturation, saturation
 from pbcgen.control.settings import Setting, Settings
 from pbcgen.control.situation import Situation
 from pbcgen.models.design import Design
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.passivity.plant import Point
 from pbcgen.passivity.shaping import diagonal, exact_matrix, extended_hessian, shape_at
 from pbcgen.passivity.target_map import NotExplicit, TargetMap
@@ -158,7 +158,7 @@ class _Box:
         found = self.situation.found
         self.hessian = found["hessian-condition"].status is Status.PROVED
         self.filtered = "kc-bound" in found and found["kc-bound"].status is Status.PROVED
-        self.base = self.situation.law.base if isinstance(self.situation.law, Integral) else self.situation.law
+        self.base = base_law(self.situation.law)
         self.target = [s for s in self.settings.settings if s.group == "target"]
         self.loops = Loops.of(plant, self.situation.point, self.graph, self.design.sample_period, self.sampling.delay)
         if moving is not None:
@@ -341,7 +341,7 @@ class _Box:
     def _is_minimum(self, point: Point, cell: Box) -> bool:
         """The Hessian condition, that of (x, x_c) where it was proved; the least alpha beta and K_c decide."""
         law = self._law(cell, 0)
-        base = law.base if isinstance(law, Integral) else law
+        base = base_law(law)
         alpha, beta = (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)
         shape = shape_at(
             self.situation.plant, point, self.situation.gamma, compensated=isinstance(base, PotentialCompensation)

@@ -16,6 +16,7 @@ import numpy as np
 from flint import fmpq
 
 import pbcgen
+from pbcgen.control.compensation import compensated_force
 from pbcgen.control.derive import Derivation
 from pbcgen.control.dissipation_witness import natural_damping, passivity, storage
 from pbcgen.control.measure import Measurement, Reading, Unreadable
@@ -24,7 +25,7 @@ from pbcgen.control.velocity_witness import SQUARES, coordinates
 from pbcgen.control.writing import Writing
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.identity import canonical_text, model_hash
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.models.laws import gains as gains_of
 from pbcgen.passivity.assignable import greedy_rows, residual_of
 from pbcgen.passivity.equilibrium import combination
@@ -78,10 +79,6 @@ def certificate(derivation: Derivation) -> dict[str, Any]:
     return {**document, "digest": digest(document)}
 
 
-def _base(law: Law | None) -> Law | None:
-    return law.base if isinstance(law, Integral) else law
-
-
 def _formulas(derivation: Derivation) -> Writing:
     """gamma, eta and the power structure."""
     plant, structure = derivation.plant, derivation.structure
@@ -99,7 +96,7 @@ def _formulas(derivation: Derivation) -> Writing:
 
 def _needs_structure(derivation: Derivation) -> bool:
     """Whether the gradient condition rests on the power structure, because x* is not written down exactly."""
-    if isinstance(_base(derivation.law), PotentialCompensation):
+    if isinstance(base_law(derivation.law), PotentialCompensation):
         return False
     try:
         witness = _rest(derivation)
@@ -139,12 +136,13 @@ def _place(writing: Writing, measurement: Measurement, reading: Reading) -> int:
 
 
 def _signals(derivation: Derivation, gamma: ca.SX) -> Iterator[tuple[str, ca.SX]]:
-    system, base = derivation.plant.system, _base(derivation.law)
+    system, base = derivation.plant.system, base_law(derivation.law)
     yield "gamma", gamma
     if isinstance(base, NaturalDamping) and derivation.eta is not None:
         yield "eta", derivation.eta
-    if isinstance(base, PotentialCompensation) and system.mechanical is not None:
-        yield "potential", ca.gradient(system.mechanical.V, system.mechanical.q)
+    force = compensated_force(system, base)
+    if force is not None:
+        yield "potential", force
     if isinstance(base, PassiveOutput):
         slope = ca.jacobian(gamma, system.x)
         yield "drift", ca.mtimes(slope, system.f)
@@ -248,11 +246,11 @@ def _direction(matrix: Callable[[Derivation], Rows]) -> Callable[..., dict[str, 
 
 
 def _hessian(derivation: Derivation, extended: bool) -> Rows:
-    base = _base(derivation.law)
+    base = base_law(derivation.law)
     assert derivation.point is not None
     assert derivation.gamma is not None
     assert base is not None
-    alpha, beta = (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)  # type: ignore[union-attr]
+    alpha, beta = (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)
     stiffness = diagonal([rational(a * b) for a, b in zip(alpha, beta, strict=True)])
     compensated = isinstance(base, PotentialCompensation)
     shape = shape_at(derivation.plant, derivation.point, derivation.gamma, compensated=compensated)

@@ -23,7 +23,7 @@ from pbcgen.control.situation import Situation
 from pbcgen.control.stability import StabilityVerdicts, stability
 from pbcgen.errors import ModelError, UnsupportedOperation
 from pbcgen.models.design import Design
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.models.laws import gains as gains_of
 from pbcgen.passivity import passive_output
 from pbcgen.passivity.assignable import assignable_set
@@ -149,7 +149,7 @@ def derive(design: Design, progress: Progress = None, sampling: Sampling | None 
     output = found if isinstance(found, PassiveOutputResult) else None
     stages.add(output.claim if output else found)
     bounds = None
-    if output is not None and _base(design.law).name == NaturalDamping.name:
+    if output is not None and base_law(design.law).name == NaturalDamping.name:
         bounds = stages.run(
             "natural damping",
             lambda: assumption_3(
@@ -161,7 +161,7 @@ def derive(design: Design, progress: Progress = None, sampling: Sampling | None 
     law = _resolve(design, eta)
     numbers: dict[str, Any] = _formulas(plant, output, eta)
     theta_verdict = None
-    base = _base(law)
+    base = base_law(law)
     if output is not None and bounds is not None and isinstance(base, NaturalDamping):
         port = Port.of(plant, Region.stated(plant), output.gamma, eta)
         theta_verdict = stages.run("theta", lambda: theta(bounds, base, port))
@@ -213,10 +213,6 @@ _EMPTY: Mapping[str, Any] = {
 }
 
 
-def _base(law: Law) -> Law:
-    return law.base if isinstance(law, Integral) else law
-
-
 def _resolve(design: Design, eta: ca.SX | None) -> Law:
     size = None if eta is None else int(eta.numel())
     return design.law.resolve(design.system.m, size)
@@ -225,7 +221,7 @@ def _resolve(design: Design, eta: ca.SX | None) -> Law:
 def _check_compensation(plant: Plant, law: Law) -> None:
     """Law (umec) cancels grad V with u, which takes G = I."""
     mechanics = plant.system.mechanical
-    if not isinstance(_base(law), PotentialCompensation) or mechanics is None:
+    if not isinstance(base_law(law), PotentialCompensation) or mechanics is None:
         return
     size = plant.system.n // 2
     message = "potential-compensation needs G = I (an actuator on every joint): use DynamicExtension for this system"
@@ -313,10 +309,10 @@ class _AtTarget:
         read = needs(self.plant, measurement, self.law, self.output.gamma, self.eta)
         stages.add(self._measurability(read))
         intervals = limits.intervals(self.design)
-        lacks_eta = isinstance(_base(self.law), NaturalDamping) and self.eta is None
+        lacks_eta = isinstance(base_law(self.law), NaturalDamping) and self.eta is None
         if read.missing or lacks_eta:
             return numbers
-        loops = isinstance(_base(self.law), PassiveOutput) and read.feedthrough.nnz() > 0
+        loops = isinstance(base_law(self.law), PassiveOutput) and read.feedthrough.nnz() > 0
         if loops and stages.claims["passive-output"].status is not Status.PROVED:
             self.obstacle = (
                 "y = gamma' depends on u and is not proved passive: the algebraic loop of the law may not be solvable",
@@ -364,15 +360,13 @@ class _AtTarget:
 
     def _shape(self, stages: _Stages) -> dict[str, Any]:
         assert self.output is not None
-        base = _base(self.law)
+        base = base_law(self.law)
         shape: Shape = shape_at(
             self.plant, self.point, self.output.gamma, compensated=isinstance(base, PotentialCompensation)
         )
         stages.add(gradient_condition(self.plant, self.point, shape, self._structure()))
-        alpha, beta = (
-            (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)  # type: ignore[union-attr]
-        )
-        K_c = None if isinstance(base, PassiveOutput) else base.K_c  # type: ignore[union-attr]
+        alpha, beta = (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)
+        K_c = None if isinstance(base, PassiveOutput) else base.K_c
         stiffness = tuple(a * b for a, b in zip(alpha, beta, strict=True))
         verdict: HessianVerdict = hessian_conditions(self.plant, shape, stiffness, K_c)
         stages.add(verdict.hessian)
@@ -390,7 +384,7 @@ class _AtTarget:
 
     def _measurability(self, read: Needs) -> Claim:
         names = ", ".join(self.plant.system.measured_names)
-        if isinstance(_base(self.law), NaturalDamping) and self.eta is None:
+        if isinstance(base_law(self.law), NaturalDamping) and self.eta is None:
             return Claim(
                 "measurability",
                 Status.UNDECIDED,
@@ -455,7 +449,7 @@ def _fill(
     else:
         unreadable = "the law cannot be written in the measured signals", "mend the claim `measurability`"
         why, hint = obstacle or unreadable
-    base = _base(law)
+    base = base_law(law)
     skipped = set() if design.target_box or design.gain_ranges else {"adjustable"}
     if not isinstance(base, NaturalDamping):
         skipped |= {"assumption-3", "theta"}

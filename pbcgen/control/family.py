@@ -18,7 +18,7 @@ import casadi as ca
 
 from pbcgen.control.transition import LinearLoop
 from pbcgen.models.gains import Matrix, Vector
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.passivity.local import Local
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.shaping import add, diagonal, exact_matrix, multiply
@@ -66,9 +66,9 @@ class LoopFamily:
     def loop(self, law: Law) -> LinearLoop:
         """The loop with a law whose gains are resolved; its measurement is x. Raises ValueError if eta is missing."""
         with precision(BITS):
-            if isinstance(law, PassiveOutput):
-                return self._passive_output(law)
-            base = law.base if isinstance(law, Integral) else law
+            base = base_law(law)
+            if isinstance(base, PassiveOutput):
+                return self._passive_output(base)
             if isinstance(base, NaturalDamping):
                 parts = [
                     self._filter(base.alpha_c, base.beta_c, base.K_c, base.R_c, self.gamma),

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbcgen.control.family import LoopFamily
-from pbcgen.control.gain_space import base_law, rebuilt
+from pbcgen.control.gain_space import rebuilt
 from pbcgen.control.trial import entries
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, base_law
 from pbcgen.proof.definite import RealMatrix
 from pbcgen.symbolic.real import approximate
 

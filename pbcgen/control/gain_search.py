@@ -10,11 +10,11 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from pbcgen.control.gain_space import DIGITS, Space, base_law, rebuilt
+from pbcgen.control.gain_space import DIGITS, Space, rebuilt
 from pbcgen.control.linearisation import Figures
 from pbcgen.control.trial import Response, entries
 from pbcgen.control.tuning_problem import Problem, Route, meet_theta, shaped, unmet
-from pbcgen.models.laws import Integral, Law, NaturalDamping
+from pbcgen.models.laws import Integral, Law, NaturalDamping, base_law
 
 #: A response that is worse by no more than this (about 3 % of the settling time) is as good.
 _GENTLE = 0.03

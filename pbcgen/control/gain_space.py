@@ -24,11 +24,6 @@ _USUAL_DECADES = 4.0
 DIGITS = 3
 
 
-def base_law(law: Law) -> Law:
-    """The law without its integral term."""
-    return law.base if isinstance(law, Integral) else law
-
-
 def totals(law: Law) -> Vector:
     """The sum of the amplitudes of each input."""
     groups = [values for name, values in entries(law).items() if is_amplitude(name)]

@@ -14,6 +14,7 @@ from fractions import Fraction
 
 import casadi as ca
 
+from pbcgen.control.compensation import compensated_force
 from pbcgen.control.gain_matrices import Implicit
 from pbcgen.control.hyperbolic import Tanh, default_tanh
 from pbcgen.control.law import ControlLaw, Fallback, Precision, Setter, SetterInput, Signal
@@ -21,7 +22,7 @@ from pbcgen.control.measure import Measurement, Reading, Unreadable
 from pbcgen.control.settings import Gain, GainMatrix, Setting, Settings, Stored, column, matrix, times
 from pbcgen.control.solves import choose_solves
 from pbcgen.models.gains import diagonal
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.symbolic.real import (
     BITS,
@@ -229,16 +230,16 @@ def needs(plant: Plant, measurement: Measurement, law: Law, gamma: ca.SX, eta: c
             affine = affine and (absolute or reading.affine is not None)
         return ca.vertcat(*entries) if entries else ca.SX(0, 1)
 
-    base = law.base if isinstance(law, Integral) else law
+    base = base_law(law)
     gamma_reading = read(gamma, lambda i: f"gamma_{i + 1}" if gamma.numel() > 1 else "gamma")
     eta_reading = (
         read(eta, lambda i: f"eta_{i + 1}") if isinstance(base, NaturalDamping) and eta is not None else ca.SX(0, 1)
     )
     potential = drift = ca.SX(0, 1)
     feedthrough = ca.SX(0, 0)
-    if isinstance(base, PotentialCompensation) and plant.system.mechanical is not None:
-        mechanics = plant.system.mechanical
-        potential = read(ca.gradient(mechanics.V, mechanics.q), lambda i: f"dV/dq_{i + 1}", absolute=True)
+    force = compensated_force(plant.system, base)
+    if force is not None:
+        potential = read(force, lambda i: f"dV/dq_{i + 1}", absolute=True)
     if isinstance(base, PassiveOutput):
         slope = ca.jacobian(gamma, plant.system.x)
         drift = read(ca.mtimes(slope, plant.system.f), lambda i: f"y_{i + 1} at u = 0", absolute=True)
@@ -255,7 +256,7 @@ def _chosen(reading: Reading, absolute: bool) -> ca.SX:
 
 def build(law: Law, measurement: Measurement, point: Point, read: Needs) -> LawGraph:
     """The formulas of a law whose signals can all be read."""
-    base = law.base if isinstance(law, Integral) else law
+    base = base_law(law)
     gain, gain_matrix, system = measurement.settings.gain, measurement.settings.diagonal_gain, measurement.plant.system
     equilibrium_input = ca.vertcat(
         *[
@@ -400,7 +401,7 @@ def control_law(
     """The discretised law as data for the emitter and the reference step."""
     step, stored = graph.discretise(h), graph.stored
     N, c, following, output, start = graph.rounded(*step.parts(), graph.start(h), keep=stored)
-    base = graph.law.base if isinstance(graph.law, Integral) else graph.law
+    base = base_law(graph.law)
     holds = isinstance(base, PotentialCompensation)
     kept = ca.vertcat(*[s.symbol for s in stored]) if stored else ca.SX(0, 1)
     states = ca.vertcat(graph.xi, kept)

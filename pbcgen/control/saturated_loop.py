@@ -15,9 +15,10 @@ import numpy as np
 from flint import arb, arb_mat
 
 from pbcgen.control.common_storage import Array
+from pbcgen.control.compensation import compensated_force
 from pbcgen.control.derive import Derivation
 from pbcgen.models.gains import Matrix, Vector
-from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, base_law
 from pbcgen.symbolic.real import REAL, ZERO, Real, approximate, ball, lower, rational, reals, upper
 from pbcgen.symbolic.tape import Tape
 
@@ -143,7 +144,7 @@ class _Numbers:
 def saturated_loop(found: Derivation) -> SaturatedLoop | None:
     """The loop in (x, zeta, t); None where the derivation stopped before the law, and for `passive-output`."""
     law = found.law
-    base = law.base if isinstance(law, Integral) else law
+    base = base_law(law)
     if found.point is None or found.graph is None or found.gamma is None or isinstance(base, PassiveOutput):
         return None
     plant, point, system = found.plant, found.point, found.plant.system
@@ -154,10 +155,9 @@ def saturated_loop(found: Derivation) -> SaturatedLoop | None:
     z_c, t_c = ca.SX.sym("z_c", m), ca.SX.sym("t_c", m)
     (star,) = plant.at(point, found.gamma)
     gamma = found.gamma - numbers.column([row[0] for row in star])
-    compensated = isinstance(base, PotentialCompensation) and system.mechanical is not None
+    force = compensated_force(system, base)
     a = numbers.vector(alpha)
-    u = ca.gradient(system.mechanical.V, system.mechanical.q) if compensated else numbers.column(list(point.u))  # type: ignore[union-attr]
-    u = u - a * t_c
+    u = (numbers.column(list(point.u)) if force is None else force) - a * t_c
     K_c, R_c = numbers.matrix(base.K_c), numbers.matrix(base.R_c)  # type: ignore[union-attr]
     own = [-ca.mtimes(R_c, a * t_c + ca.mtimes(K_c, z_c - gamma))]
     moved, zeta, t = [found.gamma], [z_c], [t_c]

@@ -10,9 +10,10 @@ from math import inf
 import casadi as ca
 
 from pbcgen.control.amplitudes import blocking, largest_amplitudes, rooms
+from pbcgen.control.compensation import compensated_force
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Design
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.models.limits import row_text
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.region import Region, search
@@ -72,7 +73,7 @@ def saturation(
 
     ``equilibrium_inputs`` are ranges of u* to take instead of the entries of ``point.u``.
     """
-    base = law.base if isinstance(law, Integral) else law
+    base = base_law(law)
     sizes = amplitudes(law)
     with precision(BITS):
         centres: list[Range | None]
@@ -85,7 +86,7 @@ def saturation(
             for c, a in zip(centres, sizes, strict=True)
         )
         claim = _compare(plant, design, ranges, centres, sizes)
-    if claim.status is Status.UNDECIDED and isinstance(base, PotentialCompensation):
+    if claim.status is Status.UNDECIDED:
         claim = _exceeded(plant, design, ranges, sizes, claim) or claim
     return Saturation(claim, ranges)
 
@@ -93,7 +94,7 @@ def saturation(
 def offsets(plant: Plant, law: Law, point: Point) -> list[tuple[Real, Real]] | None:
     """For each input the range of what the law adds its saturated terms to; None if one has no bound."""
     with precision(BITS):
-        if not isinstance(law.base if isinstance(law, Integral) else law, PotentialCompensation):
+        if not isinstance(base_law(law), PotentialCompensation):
             return [(u, u) for u in point.u]
         found = _potential_ranges(plant)
         return [(r.lo, r.hi) for r in found if r is not None] if all(r is not None for r in found) else None
@@ -228,10 +229,9 @@ def _exceeded(
 
     The filter's state is free, so that every tanh comes as close to one as one likes there.
     """
-    mechanics, region = plant.system.mechanical, Region.stated(plant)
-    if mechanics is None:
+    force, region = compensated_force(plant.system, design.law), Region.stated(plant)
+    if force is None:
         return None
-    force = ca.gradient(mechanics.V, mechanics.q)
     for row, bound in design.input_set.rows():
         if _excess(row, bound, ranges) <= _UNSEEN * (1 + abs(bound)):
             continue
@@ -243,7 +243,7 @@ def _exceeded(
             continue
         if found.point is None or found.value is None:
             continue
-        names, count = plant.system.state_names, mechanics.q.numel()
+        names, count = plant.system.state_names, force.numel()
         place = {name: text(rational(v), 17) for name, v in zip(names[:count], found.point[:count], strict=True)}
         shown = ", ".join(f"{name} = {value}" for name, value in place.items())
         label = f"{row_text(row, plant.system.input_names)} <= {text(rational(bound))}"
@@ -313,7 +313,7 @@ def _least_slack(slacks: Sequence[_Slack]) -> str:
 
 def _beyond_domain(plant: Plant, design: Design) -> str:
     """What holds the bound where positions leave a declared domain, on which the range of grad V rests."""
-    base = design.law.base if isinstance(design.law, Integral) else design.law
+    base = base_law(design.law)
     mechanics = plant.system.mechanical
     if not isinstance(base, PotentialCompensation) or mechanics is None:
         return ""

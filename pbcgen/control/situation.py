@@ -9,12 +9,13 @@ from functools import cached_property
 import casadi as ca
 from flint import fmpq
 
+from pbcgen.control.compensation import compensated_force
 from pbcgen.control.family import LoopFamily
 from pbcgen.control.gain_matrices import exact_inverse
 from pbcgen.control.transition import LinearLoop
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.gains import Matrix, Vector
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import BaseLaw, Integral, Law, NaturalDamping, PassiveOutput, base_law
 from pbcgen.passivity.dissipation import NaturalDampingBounds, theta_is_strict
 from pbcgen.passivity.flow import Flow, flow, flow_by_balance
 from pbcgen.passivity.lasalle import InvariantSet, branches, invariant_set
@@ -52,17 +53,14 @@ class Situation:
     found: Mapping[str, Claim]
 
     @property
-    def base(self) -> Law:
+    def base(self) -> BaseLaw:
         """The law without the integral term."""
-        return self.law.base if isinstance(self.law, Integral) else self.law
+        return base_law(self.law)
 
     @property
     def compensation(self) -> ca.SX | None:
         """grad V for potential compensation, else None."""
-        mechanics = self.plant.system.mechanical
-        if isinstance(self.base, PotentialCompensation) and mechanics is not None:
-            return ca.gradient(mechanics.V, mechanics.q)
-        return None
+        return compensated_force(self.plant.system, self.law)
 
     @property
     def gains(self) -> tuple[Vector, Vector, Matrix | None]:
@@ -72,8 +70,6 @@ class Situation:
             return base.alpha_c, base.beta_c, base.K_c
         if isinstance(base, PassiveOutput):
             return base.alpha, base.beta, None
-        if isinstance(base, Integral):
-            raise TypeError("an integral law has no integral base")
         return base.alpha, base.beta, base.K_c
 
     @property

@@ -10,7 +10,7 @@ from pbcgen.control.attractivity import beyond_linearisation, locally_by_storage
 from pbcgen.control.global_attraction import by_storage, globally
 from pbcgen.control.sampled import Sampling, decide
 from pbcgen.control.situation import LARGEST_LINEARISED, Situation
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, base_law
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.spectrum import Stability
 from pbcgen.symbolic.real import approximate
@@ -167,7 +167,7 @@ def _unstable(claim: str, continuous: Stability, situation: Situation) -> Claim:
 def _remedy(situation: Situation) -> str:
     """What would make x* stable: the premises that fail, or less of the only filter that has none."""
     law = situation.law
-    base = law.base if isinstance(law, Integral) else law
+    base = base_law(law)
     missing = [name for name in lyapunov_premises(base) if situation.found[name].status is not Status.PROVED]
     if missing:
         return "satisfy " + ", ".join(missing)

@@ -18,9 +18,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from pbcgen.control.compensation import compensated_force
 from pbcgen.models.design import Design
 from pbcgen.models.gains import Matrix, Vector
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation, gains
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, base_law, gains
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.symbolic.real import approximate
 
@@ -148,7 +149,7 @@ class Trial:
     @cached_property
     def _xi(self) -> ca.SX:
         m = self.plant.system.m
-        base = self.law.base if isinstance(self.law, Integral) else self.law
+        base = base_law(self.law)
         count = 0 if isinstance(base, PassiveOutput) else 2 if isinstance(base, NaturalDamping) else 1
         return ca.SX.sym("xi", m * (count + isinstance(self.law, Integral)))
 
@@ -181,7 +182,7 @@ class Trial:
     def _control(self, x: ca.SX, xi: ca.SX, g: Mapping[str, ca.SX], h: float) -> tuple[ca.SX, ca.SX]:
         """The discretised law: next xi and u."""
         m = self.plant.system.m
-        base = self.law.base if isinstance(self.law, Integral) else self.law
+        base = base_law(self.law)
         star = [approximate(v) for v in self.point.x]
         u_star = ca.DM([approximate(v) for v in self.point.u])
         gamma = self.gamma - ca.substitute(self.gamma, self.plant.system.x, ca.DM(star))
@@ -196,10 +197,8 @@ class Trial:
         eased = ca.mtimes(decay, parts[0])
         t = _saturated_together(ca.mtimes(ca.diag(beta), push), beta * (gamma + eased))
         following = [eased - ca.mtimes(push, t)]
-        offset: ca.SX = ca.SX(u_star)
-        mechanics = self.plant.system.mechanical
-        if isinstance(base, PotentialCompensation) and mechanics is not None:
-            offset = ca.gradient(mechanics.V, mechanics.q)
+        force = compensated_force(self.plant.system, base)
+        offset = ca.SX(u_star) if force is None else force
         u = offset - alpha * t
         if natural and self.eta is not None:
             eta = self.eta - ca.substitute(self.eta, self.plant.system.x, ca.DM(star))

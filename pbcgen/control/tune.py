@@ -21,7 +21,7 @@ from pbcgen.control.amplitudes import Room
 from pbcgen.control.attraction import region_of_attraction
 from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.gain_search import Judge, best_rounded, distinct, gentler, lowest_abscissa, search, wish_is_met
-from pbcgen.control.gain_space import base_law, rebuilt, totals
+from pbcgen.control.gain_space import rebuilt, totals
 from pbcgen.control.linearisation import spectral
 from pbcgen.control.region import Region, certified_region
 from pbcgen.control.sampled import Sampling
@@ -31,7 +31,7 @@ from pbcgen.control.tuning_problem import PUSH, Problem, Route, Wish, shaped, th
 from pbcgen.errors import NotProved
 from pbcgen.models.design import Design
 from pbcgen.models.gains import Matrix, Vector
-from pbcgen.models.laws import Integral, Law, NaturalDamping
+from pbcgen.models.laws import Integral, Law, NaturalDamping, base_law
 from pbcgen.proof.claim import EMISSION_CLAIMS, Claim, Status
 
 Progress = Callable[[str], None] | None

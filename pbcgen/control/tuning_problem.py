@@ -15,7 +15,7 @@ from pbcgen.control.closed_loop import until_settled
 from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.family import LoopFamily
 from pbcgen.control.gain_scale import natural_scale
-from pbcgen.control.gain_space import Space, base_law, rebuilt, totals
+from pbcgen.control.gain_space import Space, rebuilt, totals
 from pbcgen.control.linearisation import Figures, Spectrum
 from pbcgen.control.lyapunov_period import LyapunovPeriods, lyapunov_periods
 from pbcgen.control.saturation import offsets
@@ -23,7 +23,7 @@ from pbcgen.control.trial import Response, Trial, entries, response
 from pbcgen.errors import ModelError, NotProved
 from pbcgen.models.design import Design
 from pbcgen.models.gains import Vector
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.passivity.dissipation import port_damping
 from pbcgen.passivity.shaping import Shape, add, diagonal, exact_matrix, shape_at
 from pbcgen.passivity.storage import assumption_1
@@ -232,7 +232,7 @@ def shaped(problem: Problem, law: Law) -> bool:
     stiffness = [a * b for a, b in zip(alpha, beta, strict=True)]
     A = diagonal([rational(s / _CLEARANCE) for s in stiffness])
     if not isinstance(base, PassiveOutput):
-        K_c = exact_matrix(tuple(tuple(v / _CLEARANCE for v in row) for row in base.K_c))  # type: ignore[union-attr]
+        K_c = exact_matrix(tuple(tuple(v / _CLEARANCE for v in row) for row in base.K_c))
         compliances = [inverse(A), inverse(K_c)]
         series = None if None in compliances else inverse(add(*compliances))  # type: ignore[arg-type]
         if series is None:

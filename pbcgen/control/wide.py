@@ -13,11 +13,12 @@ from fractions import Fraction
 
 import casadi as ca
 
+from pbcgen.control.compensation import compensated_force
 from pbcgen.control.derive import Derivation
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.affine import AffineSystem, Brayton, Mechanics, Structure
 from pbcgen.models.exact import decimal
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import BaseLaw, NaturalDamping, PassiveOutput, base_law
 from pbcgen.models.parameters import Parameters
 from pbcgen.passivity.inertia import missing_for_definiteness
 from pbcgen.passivity.plant import Plant, SymbolicPlant
@@ -70,7 +71,7 @@ class Wide:
 
     def __init__(self, derivation: Derivation) -> None:
         self.derivation, self.law = derivation, derivation.law
-        self.base = self.law.base if isinstance(self.law, Integral) else self.law
+        self.base = base_law(self.law)
         self.given: Plant = derivation.plant
         system, parameters = self.given.system, self.given.system.parameters
         chosen = [name for name in parameters.names if name not in parameters.numbers]
@@ -140,10 +141,7 @@ class Wide:
     @property
     def compensation(self) -> ca.SX | None:
         """grad V under potential compensation, else None."""
-        mechanics = self.plant.system.mechanical
-        if isinstance(self.base, PotentialCompensation) and mechanics is not None:
-            return ca.gradient(mechanics.V, mechanics.q)
-        return None
+        return compensated_force(self.plant.system, self.law)
 
     def exact(self, *expressions: ca.SX) -> list[list[list[Quotient]]]:
         """Matrices of exact functions of (x, u, s), of one field; see :data:`GIVE_UP`."""
@@ -262,9 +260,9 @@ class Wide:
         return None
 
 
-def _gain_values(base: Law | None) -> list[tuple[str, str, Fraction]]:
+def _gain_values(base: BaseLaw | None) -> list[tuple[str, str, Fraction]]:
     """(kind, label, value) of the gains that conditions speak of, where they are diagonal."""
-    if base is None or isinstance(base, Integral):
+    if base is None:
         return []
     damped = isinstance(base, NaturalDamping)
     alpha, beta = (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)

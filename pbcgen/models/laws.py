@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from fractions import Fraction
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, overload
 
 from pbcgen.errors import ModelError
 from pbcgen.models.exact import exact
@@ -249,7 +249,21 @@ class Integral:
         )
 
 
-Law = PassiveOutput | DynamicExtension | NaturalDamping | PotentialCompensation | Integral
+BaseLaw = PassiveOutput | DynamicExtension | NaturalDamping | PotentialCompensation
+Law = BaseLaw | Integral
+
+
+@overload
+def base_law(law: Law) -> BaseLaw: ...
+
+
+@overload
+def base_law(law: Law | None) -> BaseLaw | None: ...
+
+
+def base_law(law: Law | None) -> BaseLaw | None:
+    """The law without its integral term; None where there is none."""
+    return law.base if isinstance(law, Integral) else law
 
 
 def gains(law: Law) -> dict[str, Vector | Matrix]:

@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 
 from pbcgen.control.derive import Derivation
-from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.shaping import Shape, diagonal, shape_at
 from pbcgen.proof.definite import dense, eigenvalues
@@ -165,7 +165,7 @@ def _combination(coefficients: list[str], names: tuple[str, ...]) -> str:
 
 def _gains(d: Derivation) -> tuple[tuple[Any, ...], tuple[Any, ...], Any]:
     """(alpha, beta, K_c) of the energy shaping."""
-    law = d.law.base if isinstance(d.law, Integral) else d.law
+    law = base_law(d.law)
     if isinstance(law, NaturalDamping):
         return law.alpha_c, law.beta_c, law.K_c
     return law.alpha, law.beta, getattr(law, "K_c", None)  # type: ignore[union-attr]
@@ -174,7 +174,7 @@ def _gains(d: Derivation) -> tuple[tuple[Any, ...], tuple[Any, ...], Any]:
 def _shape(d: Derivation) -> tuple[Shape, Any] | None:
     if d.point is None or d.gamma is None or d.law is None:
         return None
-    law = d.law.base if isinstance(d.law, Integral) else d.law
+    law = base_law(d.law)
     shape = shape_at(d.plant, d.point, d.gamma, compensated=isinstance(law, PotentialCompensation))
     alpha, beta, _ = _gains(d)
     return shape, diagonal([rational(a * b) for a, b in zip(alpha, beta, strict=True)])
@@ -183,7 +183,7 @@ def _shape(d: Derivation) -> tuple[Shape, Any] | None:
 def _shaping(d: Derivation) -> Step:
     formulas = []
     found = _shape(d)
-    compensated = isinstance(d.law.base if isinstance(d.law, Integral) else d.law, PotentialCompensation)
+    compensated = isinstance(base_law(d.law), PotentialCompensation)
     storage = r"\tfrac12 p^{\top} M^{-1} p" if compensated else r"S + \kappa^{\top}\gamma"
     if found is not None:
         shape, stiffness = found
@@ -217,7 +217,7 @@ def _shaping(d: Derivation) -> Step:
 
 
 def _filter_gain(d: Derivation) -> Step | None:
-    law = d.law.base if isinstance(d.law, Integral) else d.law
+    law = base_law(d.law)
     if law is None or isinstance(law, PassiveOutput):
         return None
     formulas = [
@@ -245,7 +245,7 @@ def _filter_gain(d: Derivation) -> Step | None:
 
 
 def _natural_damping(d: Derivation) -> Step | None:
-    law = d.law.base if isinstance(d.law, Integral) else d.law
+    law = base_law(d.law)
     if not isinstance(law, NaturalDamping):
         return None
     formulas = []
@@ -284,7 +284,7 @@ def _diagonal(values: Any) -> str:
 
 def _law(d: Derivation) -> Step:
     law = d.law if d.law is not None else d.design.law.resolve(d.plant.system.m)
-    base = law.base if isinstance(law, Integral) else law
+    base = base_law(law)
     equations = LAWS[base.name][0] + (("conint", "dpsi") if isinstance(law, Integral) else ())
     formulas = formulas_of(law)
     intervals = d.derived.get("input_intervals") or ()

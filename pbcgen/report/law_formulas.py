@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pbcgen.models.design import Design
-from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, gains
+from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, base_law, gains
 from pbcgen.report.mathematics import Formula, number, number_matrix
 from pbcgen.symbolic.sympy_form import name_as_latex
 
@@ -36,7 +36,7 @@ def law_formulas(design: Design) -> list[Formula]:
 
 def formulas_of(law: Any) -> list[Formula]:
     """The law with its filters and gains."""
-    base = law.base if isinstance(law, Integral) else law
+    base = base_law(law)
     formulas = [Formula("Control law", LAWS[base.name][1])]
     if not isinstance(base, PassiveOutput):
         suffix = "_c" if isinstance(base, NaturalDamping) else ""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import casadi as ca
 
 from pbcgen.control.derive import Derivation
-from pbcgen.models.laws import Integral, NaturalDamping
+from pbcgen.models.laws import Integral, NaturalDamping, base_law
 from pbcgen.report.law_formulas import ENERGY
 from pbcgen.report.mathematics import Formula, Step, number
 from pbcgen.symbolic.sympy_form import from_sx, latex, name_as_latex
@@ -107,7 +107,7 @@ def _sampled_bound(d: Derivation) -> Iterator[Formula]:
     bound = (d.derived.get("sample_periods") or {}).get("lyapunov_stable_to")
     if bound is None:
         return
-    law = d.law.base if isinstance(d.law, Integral) else d.law
+    law = base_law(d.law)
     of_gains = r"2 \lambda_{\min}\left(\Lambda_c\, \text{diag}(\alpha\beta)^{-1}\right) = "
     yield Formula(
         "The Lyapunov function does not grow from sample to sample for",
