@@ -13,11 +13,10 @@ from pbcgen.passivity.construction import drift_by_construction
 from pbcgen.passivity.inertia import missing_for_definiteness
 from pbcgen.passivity.unbounded import Growth, radially_unbounded
 from pbcgen.proof.claim import Claim, Status
+from pbcgen.proof.known import ENTIRE_KINDS
 from pbcgen.proof.nonnegative import positive
 from pbcgen.symbolic.real import Real, approximate, text
 
-#: Functions that are defined and smooth for every argument.
-_ENTIRE_KINDS = frozenset({"sin", "cos", "exp", "tanh", "atan", "asinh", "erf"})
 #: Functions that are so for every positive argument.
 _POSITIVE_ARGUMENT = frozenset({"sqrt", "log"})
 
@@ -115,7 +114,7 @@ def _undefined(situation: Situation) -> str:
     except (UnsupportedOperation, ZeroDivisionError) as reason:
         return str(reason)
     fine = all(
-        atom.kind in _ENTIRE_KINDS or (atom.kind in _POSITIVE_ARGUMENT and positive(atom.argument))
+        atom.kind in ENTIRE_KINDS or (atom.kind in _POSITIVE_ARGUMENT and positive(atom.argument))
         for atom in field.atoms.values()
     )
     fine = fine and all(positive(d) or positive(-d) for d in field.divisors.values())

@@ -27,6 +27,7 @@ from pbcgen.passivity.structure import PowerStructure
 from pbcgen.passivity.unbounded import currents, depends_on_currents
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.elimination import definite, semidefinite
+from pbcgen.proof.known import BOUNDED_KINDS
 from pbcgen.proof.nonnegative import positive
 from pbcgen.symbolic.field import Quotient
 
@@ -37,8 +38,6 @@ _LARGEST_SHOWN = 4
 _MOST_TERMS = 400
 #: Instructions that the elimination of LaSalle's set may look at, per state: symbolic coefficients take their time.
 _BUDGET_PER_STATE = 600
-#: Atoms with bounded values.
-_BOUNDED_KINDS = frozenset({"sin", "cos", "tanh", "erf", "atan"})
 
 
 class Stability:
@@ -261,7 +260,7 @@ class Stability:
             used = [k for k, e in enumerate(monomial) for _ in range(e)]
             free = [positions[k] for k in used if k in positions]
             others = [k for k in used if k not in positions]
-            harmless = all(field.atoms[k].kind in _BOUNDED_KINDS for k in others)
+            harmless = all(field.atoms[k].kind in BOUNDED_KINDS | {"atan"} for k in others)
             if not others and len(free) == 2:
                 P[free[0], free[1]] += wide.plant.expression(coefficient)
                 P[free[1], free[0]] += wide.plant.expression(coefficient)

@@ -9,6 +9,7 @@ from flint import fmpq
 
 from pbcgen.passivity.construction import WEIGHTS
 from pbcgen.passivity.plant import Plant
+from pbcgen.proof.known import ENTIRE_KINDS, SECTOR_KINDS
 from pbcgen.proof.nonnegative import nonnegative, positive
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.field import Field, Quotient
@@ -23,11 +24,6 @@ _MOST_FACTORED = 100
 _SHORT = 60
 
 Exponents = tuple[int, ...]
-
-#: Functions that are analytic on the whole line.
-_ENTIRE_KINDS = frozenset({"sin", "cos", "exp", "tanh", "atan", "asinh", "erf"})
-#: Odd strictly increasing functions: they vanish only with their argument.
-_MONOTONE_KINDS = frozenset({"tanh", "atan", "asinh", "erf", "asin", "atanh"})
 
 
 def parts(value: Quotient) -> list[Quotient]:
@@ -69,7 +65,7 @@ def _through_monotone(element: Quotient) -> Quotient:
     if len(used) != 1 or exponents[used[0]] != 1:
         return element
     atom = element.field.atoms.get(used[0])
-    return element.field.polynomial(atom.argument.numerator) if atom and atom.kind in _MONOTONE_KINDS else element
+    return element.field.polynomial(atom.argument.numerator) if atom and atom.kind in SECTOR_KINDS else element
 
 
 def never_zero(element: Quotient) -> bool:
@@ -159,7 +155,7 @@ def short(value: Quotient) -> str:
 def is_entire(value: Quotient) -> bool:
     """Whether the function is certainly analytic on the whole space, and so determined by its values near a point."""
     atoms = value.field.atoms.values()
-    return value.is_polynomial() and all(a.kind in _ENTIRE_KINDS and a.argument.is_polynomial() for a in atoms)
+    return value.is_polynomial() and all(a.kind in ENTIRE_KINDS and a.argument.is_polynomial() for a in atoms)
 
 
 def certainly_varies(plant: Plant, expression: ca.SX, symbols: ca.SX) -> bool:

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from pbcgen.proof.boxes import Box, halves
+from pbcgen.proof.known import BOUNDED_KINDS
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import Real, enclose, fraction, is_finite, lower, rational, upper
-
-#: Functions with values in [-1, 1] whatever their argument.
-_BOUNDED_KINDS = frozenset({"sin", "cos", "tanh", "erf"})
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ def _magnitude(
     function: Quotient, k: int, symbols: Mapping[int, tuple[Fraction | None, Fraction | None]]
 ) -> Fraction | None:
     if k >= function.field.symbol_count:
-        return Fraction(1) if function.field.atoms[k].kind in _BOUNDED_KINDS else None
+        return Fraction(1) if function.field.atoms[k].kind in BOUNDED_KINDS else None
     lo, hi = symbols.get(k, (None, None))
     return None if lo is None or hi is None else max(abs(lo), abs(hi))
 

@@ -18,7 +18,9 @@ SECTOR_KINDS = frozenset({"tanh", "atan", "asinh", "erf", "asin", "atanh"})
 #: Increasing functions whose sums of arguments the field does not take apart.
 _INCREASING_KINDS = SECTOR_KINDS | {"log", "sqrt"}
 #: Functions with values in [-1, 1] whatever their argument.
-_BOUNDED_KINDS = frozenset({"sin", "cos", "tanh", "erf"})
+BOUNDED_KINDS = frozenset({"sin", "cos", "tanh", "erf"})
+#: Functions that are analytic on the whole line.
+ENTIRE_KINDS = frozenset({"sin", "cos", "exp", "tanh", "atan", "asinh", "erf"})
 
 Exponents = tuple[int, ...]
 
@@ -56,7 +58,7 @@ class Known:
                 if coefficient > 0:
                     sector[k] = tuple(0 if i in positive else int(e) for i, e in enumerate(exponents))
         pairs = tuple(_pairs(field, frozenset(positive)))
-        bounded = frozenset(k for k, a in field.atoms.items() if a.kind in _BOUNDED_KINDS)
+        bounded = frozenset(k for k, a in field.atoms.items() if a.kind in BOUNDED_KINDS)
         exponentials = frozenset(k for k, a in field.atoms.items() if a.kind == "exp" and a.argument.is_polynomial())
         return Known(frozenset(positive), sector, pairs, bounded, exponentials, Spots(field, positive_symbols))
 
