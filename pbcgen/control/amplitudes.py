@@ -14,6 +14,7 @@ from fractions import Fraction
 import numpy as np
 
 from pbcgen.models.design import Design
+from pbcgen.models.exact import rounded_down
 from pbcgen.models.gains import Vector
 from pbcgen.models.limits import row_text
 from pbcgen.symbolic.real import Real, lower, rational, text, upper
@@ -99,18 +100,3 @@ def largest_amplitudes(limits: Sequence[Room], wanted: Sequence[Fraction]) -> Ve
     while any(room.slack(proposed) < 0 for room in limits):
         proposed = tuple(s if i in free else rounded_down(s * Fraction(9999, 10000), 4) for i, s in enumerate(proposed))
     return proposed
-
-
-def rounded_down(value: Fraction, digits: int) -> Fraction:
-    """The largest number of so many significant decimals that is not above a positive value."""
-    if value <= 0:
-        return Fraction(0)
-    exponent = 0
-    while value * Fraction(10) ** exponent >= 10**digits:
-        exponent -= 1
-    while value * Fraction(10) ** exponent < 10 ** (digits - 1):
-        exponent += 1
-    unit = Fraction(10) ** -exponent
-    # A proposal of floating point a hair below a short decimal means that decimal.
-    near = round(value / unit) * unit
-    return near if abs(near - value) <= value / 10**11 else (value // unit) * unit

@@ -52,6 +52,21 @@ def decimal(value: Fraction) -> str:
     return repr(float(value)) if shortest == value and value.denominator != 1 else str(value)
 
 
+def rounded_down(value: Fraction, digits: int) -> Fraction:
+    """The largest number of so many significant decimals that is not above a positive value."""
+    if value <= 0:
+        return Fraction(0)
+    exponent = 0
+    while value * Fraction(10) ** exponent >= 10**digits:
+        exponent -= 1
+    while value * Fraction(10) ** exponent < 10 ** (digits - 1):
+        exponent += 1
+    unit = Fraction(10) ** -exponent
+    # A proposal of floating point a hair below a short decimal means that decimal.
+    near = round(value / unit) * unit
+    return near if abs(near - value) <= value / 10**11 else (value // unit) * unit
+
+
 def _fraction(value: Any) -> Fraction | None:
     if getattr(value, "ndim", None) == 0:  # a NumPy array of one number
         value = value.item()

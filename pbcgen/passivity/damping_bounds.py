@@ -21,6 +21,7 @@ from flint import fmpq
 from numpy.typing import NDArray
 
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.models.exact import rounded_down
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.region import Region
 from pbcgen.passivity.structure import PowerStructure
@@ -175,7 +176,7 @@ def _rounded(proposed: Sequence[float]) -> Iterator[list[Fraction]]:
     for tolerance in (1e-9, 1e-2):
         yield [_near(v, tolerance) for v in proposed]
     for part in _PARTS[1:]:
-        yield [_below(v * float(part)) for v in proposed]
+        yield [rounded_down(Fraction(v * float(part)), 3) for v in proposed]
 
 
 def _near(value: float, tolerance: float) -> Fraction:
@@ -184,13 +185,7 @@ def _near(value: float, tolerance: float) -> Fraction:
         simple = Fraction(value).limit_denominator(10**digits)
         if simple > 0 and abs(float(simple) - value) <= tolerance * value:
             return simple
-    return _below(value)
-
-
-def _below(value: float) -> Fraction:
-    """Three decimal digits, rounded down."""
-    exponent = floor(log10(value)) - 2
-    return floor(value / 10.0**exponent) * Fraction(10) ** exponent
+    return rounded_down(Fraction(value), 3)
 
 
 def tightened(W: RealMatrix, diagonal: Sequence[fmpq]) -> list[fmpq]:
@@ -200,7 +195,7 @@ def tightened(W: RealMatrix, diagonal: Sequence[fmpq]) -> list[fmpq]:
     share = float(np.linalg.eigvalsh(scaled)[-1])
     if not 0 < share < 1:
         return list(diagonal)
-    smaller = rational(_below(share) + Fraction(10) ** (floor(log10(share)) - 2))
+    smaller = rational(rounded_down(Fraction(share), 3) + Fraction(10) ** (floor(log10(share)) - 2))
     result = [v * smaller for v in diagonal]
     excess = [
         [(d if i == j else fmpq(0)) - v for j, v in enumerate(row)]

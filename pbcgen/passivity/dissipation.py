@@ -17,6 +17,7 @@ import casadi as ca
 from flint import fmpq
 
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.models.exact import rounded_down
 from pbcgen.models.gains import Matrix
 from pbcgen.models.laws import NaturalDamping
 from pbcgen.passivity.damping_bounds import bounds_on, tightened
@@ -281,7 +282,7 @@ def _lower_bounds(function: Quotient) -> list[Fraction]:
     least = Spots(function.field).least(function)
     if isfinite(least) and least > 0:
         exponent = floor(log10(least))
-        found |= {floor(least / 10.0**k) * Fraction(10) ** k for k in range(exponent, exponent - 4, -1)}
+        found |= {rounded_down(Fraction(least), digits) for digits in range(1, 5)}
         found |= {Fraction(1, 10) ** k for k in (-exponent + 1, -exponent + 2)}
     return sorted(found, reverse=True)
 
