@@ -14,7 +14,7 @@ from flint import fmpq
 
 from pbcgen.control.situation import Situation
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.models.laws import DynamicExtension, NaturalDamping, PassiveOutput
+from pbcgen.models.laws import DynamicExtension, PassiveOutput
 from pbcgen.passivity.lasalle import InvariantSet
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
@@ -27,14 +27,13 @@ def beyond_linearisation(situation: Situation, by_lyapunov: bool) -> Claim | Non
     """Decide `asymptotically-stable` where the linearisation does not, or None.
 
     PROVED when the invariant set consists of equilibria and x* is an isolated one (regular Jacobian of the closed
-    loop). REFUTED when a linear function of the state is conserved by every input, or when the invariant set at
-    u = u* is more than x*: there the Lyapunov function stays above its minimum.
+    loop). REFUTED when a linear function of the state is conserved by every input, when the system moves without loss
+    in a plane in which the controller sees nothing, or when the invariant set at u = u* is more than x*: there the
+    Lyapunov function stays above its minimum.
     """
-    conserved = _conserved(situation)
-    if conserved is not None:
-        return conserved
-    if not by_lyapunov:
-        return None
+    decided = _conserved(situation) or _in_a_plane(situation)
+    if decided is not None or not by_lyapunov:
+        return decided
     parts = situation.branches
     if parts and all(part.resting for part in parts) and _isolated(situation):
         return _attractive(*parts)
@@ -123,13 +122,30 @@ def _conserved(situation: Situation) -> Claim | None:
     )
 
 
+def _in_a_plane(situation: Situation) -> Claim | None:
+    """A plane through x* in which the plant moves by itself, and the controller sees nothing of it."""
+    plane = situation.undamped_plane if situation.found["equilibrium"].status is Status.PROVED else None
+    if plane is None:
+        return None
+    names = situation.plant.system.state_names
+    relations = plane.words(names)
+    free = ", ".join(names[k] for k in plane.free)
+    where = f"in the plane through x* with {', '.join(relations)}" if relations else "everywhere"
+    return Claim(
+        "asymptotically-stable",
+        Status.REFUTED,
+        "near x*",
+        "invariant plane at u = u*, by exact identities",
+        f"{where}, where {free} are free, the system moves at u = u* without loss and with gamma = gamma*",
+        "add damping to this motion, or an output that sees it",
+        {"relations": relations, "free": [names[k] for k in plane.free]},
+    )
+
+
 def _undamped(situation: Situation) -> Claim | None:
     """An invariant set at u = u* that is more than a point."""
-    constants = [situation.gamma]
-    if isinstance(situation.base, NaturalDamping) and situation.eta is not None:
-        constants.append(situation.eta)
-    found = situation.at_target(*constants)
-    if found is None or not found.closed or found.pending or not found.free:
+    found = situation.undamped_set
+    if found is None:
         return None
     names = situation.plant.system.state_names
     free = ", ".join(names[k] for k in found.free)

@@ -21,6 +21,7 @@ from pbcgen.passivity.flow import Flow, flow, flow_by_balance
 from pbcgen.passivity.lasalle import InvariantSet, branches, invariant_set
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.structure import PowerStructure
+from pbcgen.passivity.undamped import Plane, undamped_plane
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.spectrum import Stability, hurwitz
 from pbcgen.symbolic.linear import Inconsistent
@@ -100,6 +101,24 @@ class Situation:
     def linearised(self) -> Stability:
         """Whether the linearised continuous loop is Hurwitz."""
         return hurwitz(self.loop.continuous())
+
+    @property
+    def _read(self) -> ca.SX:
+        """What the controller reads of the state: gamma, and eta for natural damping; a column."""
+        if isinstance(self.base, NaturalDamping) and self.eta is not None:
+            return ca.vertcat(self.gamma, self.eta)
+        return self.gamma
+
+    @cached_property
+    def undamped_plane(self) -> Plane | None:
+        """A plane through x* in which the plant moves by itself and the controller sees nothing, or None."""
+        return undamped_plane(self.plant, self.point, self._read, self.compensation)
+
+    @cached_property
+    def undamped_set(self) -> InvariantSet | None:
+        """The invariant set at u = u* with what the controller reads as at x*, if it is more than a point."""
+        found = self.at_target(self._read)
+        return None if found is None or not found.closed or found.pending or not found.free else found
 
     @cached_property
     def flow(self) -> Flow | None:

@@ -18,7 +18,7 @@ from pbcgen.control.settings_witness import adjustable
 from pbcgen.control.velocity_witness import SQUARES, squares
 from pbcgen.control.writing import Writing
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.models.laws import NaturalDamping
+from pbcgen.passivity.lasalle import InvariantSet
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.lyapunov import Kind, lyapunov
 from pbcgen.proof.tree import tree
@@ -171,17 +171,15 @@ class _Work:
         situation, plant = self.derivation.situation, self.derivation.plant
         if situation is None:
             return None
-        constants = [situation.gamma]
-        if isinstance(situation.base, NaturalDamping) and situation.eta is not None:
-            constants.append(situation.eta)
-        found = situation.at_target(*constants)
-        if found is None or not found.free or found.pending:
+        found = situation.undamped_plane or situation.undamped_set
+        if found is None:
             return None
-        values = ca.vertcat(*found.solved.values()) if found.solved else ca.SX(0, 1)
+        solved = found.solved if isinstance(found, InvariantSet) else found.solved(plant, situation.point.x)
+        values = ca.vertcat(ca.SX(0, 1), *solved.values())
         numbers = {2: [*plant.parameter_values]}
         (places,) = self.terms.tape(plant.tape(ca.densify(values)), ["state", "input", "parameter"], numbers)
         zero = self.terms.put("constant 0")
-        return {"set": {str(k): places.entries.get((i, 0), zero) for i, k in enumerate(found.solved)}}
+        return {"set": {str(k): places.entries.get((i, 0), zero) for i, k in enumerate(solved)}}
 
     def everywhere(self, claim: Claim) -> Witness:
         """`globally-asymptotically-stable`."""

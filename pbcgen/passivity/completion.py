@@ -12,20 +12,22 @@ from fractions import Fraction
 
 import casadi as ca
 import numpy as np
-from flint import fmpq, fmpq_mpoly
+from flint import arb, fmpq, fmpq_mpoly
 from numpy.typing import NDArray
 
 from pbcgen.models.design import Design
 from pbcgen.passivity.assignable import greedy_rows, residual_of
 from pbcgen.passivity.construction import drift_by_construction
 from pbcgen.passivity.plant import Plant, Point
-from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
+from pbcgen.proof.newton import Search, System, find_zeros, krawczyk, polish
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Row, determined, reduce_rows
-from pbcgen.symbolic.real import Real, fraction, rational
+from pbcgen.symbolic.real import Real, fraction, lower, midpoint, rational, upper
 
 #: Equations with more terms are not searched for powers of a linear function.
 _MOST_TERMS = 200
+#: Coordinates of an equilibrium with a larger denominator are not taken for rationals.
+_LARGEST_DENOMINATOR = 10**9
 
 
 @dataclass(frozen=True)
@@ -148,7 +150,7 @@ class SquareSystem:
         return find_zeros(system, self.search)
 
     def enclose(self, zero: NDArray[np.float64]) -> Point | None:
-        """Balls around a zero that hold exactly one, by Krawczyk's test; None if it fails."""
+        """Balls around a zero that hold exactly one, by Krawczyk's test, or its coordinates; None if that fails."""
         tape = self.plant.tape(self.expressions, self.jacobian)
 
         def system(z: list[Real]) -> tuple[list[Real], list[list[Real]]]:
@@ -158,7 +160,7 @@ class SquareSystem:
 
         centre = polish(system, zero.tolist())
         balls = None if centre is None else krawczyk(system, centre)
-        return None if balls is None else self._point(list(balls))
+        return None if balls is None or centre is None else self._point(_with_rationals(system, centre, balls))
 
     def _point(self, z: list[Real]) -> Point:
         values = {name: rational(value) for name, value in self.known.items()} | dict(zip(self.unknown, z, strict=True))
@@ -171,6 +173,45 @@ class SquareSystem:
             np.array([values[name] for name in system.state_names]),
             np.array([values[name] for name in system.input_names]),
         )
+
+
+def _with_rationals(system: System, centre: Sequence[Fraction], balls: Sequence[arb]) -> list[Real]:
+    """The zero with the coordinates that are short rationals.
+
+    With these put in, some equations must hold exactly whatever the other coordinates are in their balls, and there
+    must be as many others as coordinates that are left, with one zero by Krawczyk's test. It is in the box of the first
+    test, which has one zero only.
+    """
+    short = [_short_rational(b) for b in balls]
+    left = [k for k, value in enumerate(short) if value is None]
+    if len(left) == len(balls):
+        return list(balls)
+
+    def put_in(z: Sequence[Real]) -> list[Real]:
+        others = iter(z)
+        return [next(others) if value is None else rational(value) for value in short]
+
+    def holds(z: Sequence[Real]) -> list[bool]:
+        return [isinstance(v, fmpq) and v == 0 for v in system(put_in(z))[0]]
+
+    rows = [i for i, certain in enumerate(holds([balls[k] for k in left])) if not certain]
+
+    def smaller(z: list[Real]) -> tuple[list[Real], list[list[Real]]]:
+        value, jacobian = system(put_in(z))
+        return [value[i] for i in rows], [[jacobian[i][k] for k in left] for i in rows]
+
+    if len(rows) != len(left):
+        return list(balls)
+    found = krawczyk(smaller, [centre[k] for k in left]) if left else []
+    if found is None or not all(certain or i in rows for i, certain in enumerate(holds(found))):
+        return list(balls)
+    return put_in(found)
+
+
+def _short_rational(value: arb) -> Fraction | None:
+    """The simplest number in an enclosure if it is short, else None."""
+    simple = midpoint(value).limit_denominator(_LARGEST_DENOMINATOR)
+    return simple if lower(value) <= simple <= upper(value) else None
 
 
 def _search_box(plant: Plant, design: Design, unknown: Sequence[str]) -> Search:

@@ -5,6 +5,7 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 import pytest
+from flint import fmpq
 
 from pbcgen import AffineSystem, Circuit, Design, DynamicExtension, Mechanical, Parameters
 from pbcgen.models.loader import load
@@ -259,3 +260,23 @@ def test_an_equation_beyond_the_unknowns_must_hold_exactly():
     doubled = {**exponential, "again": (3 * ca.exp(x1), 6)}
     design = Design(system, doubled, DynamicExtension(1, 1, 1, 1), sample_period="1e-3", name="doubled")
     assert complete(Plant(system), design).claim.status == "PROVED"
+
+
+def _cubic(e):
+    """At x = 5/8 it is ``y + y^3 = 5/8 + e``, and z follows from an exponential of x."""
+    x, y, z, u = (ca.SX.sym(name) for name in "xyzu")
+    p = Parameters(e=e)
+    f = [-x, x + p.e - y - y**3, ca.exp(x) - z - z**3]
+    system = AffineSystem([x, y, z], [u], f, [1, 0, 0], (x**2 + y**2 + z**2) / 2, parameters=p)
+    return _complete(system, {"x": "0.625"}).point
+
+
+def test_short_rationals_that_solve_the_nonlinear_equations_are_exact():
+    _, y, z = _cubic("0").x
+    assert y == fmpq(1, 2)
+    assert radius(z) > 0
+
+
+def test_a_short_rational_beside_the_zero_is_not_taken_for_it():
+    """1/2 is nearer to the zero than the balls are wide."""
+    assert radius(_cubic("1e-80").x[1]) > 0
