@@ -489,10 +489,3 @@ def _split(values: Sequence[Quotient], sizes: Sequence[int]) -> list[list[Quotie
         pieces.append(list(values[start : start + size]))
         start += size
     return pieces
-
-
-#: Functions whose atoms the display and the provers know by name.
-KNOWN_KINDS: Mapping[str, Callable[..., object]] = {
-    kind: getattr(ca, kind)
-    for kind in ("sin", "cos", "exp", "log", "sqrt", "tanh", "atan", "asin", "acos", "asinh", "acosh", "atanh", "erf")
-}
