@@ -399,15 +399,21 @@ class Field:
     # --- back to CasADi -----------------------------------------------------------------------------------
 
     def to_sx(
-        self, element: Quotient, symbols: Sequence[ca.SX], number: Callable[[Fraction], ca.SX] | None = None
+        self,
+        element: Quotient,
+        symbols: Sequence[ca.SX],
+        number: Callable[[Fraction, bool], ca.SX] | None = None,
+        alone: bool = False,
     ) -> ca.SX:
         """The element as an SX expression of ``symbols``, which stand for the field's symbols in order.
 
         Args:
             element: of this field.
             symbols: at least one for each symbol of the field.
-            number: makes an SX of a coefficient. By default a coefficient must be a decimal of double length, because
-                CasADi would round another one; else UnsupportedOperation is raised.
+            number: makes an SX of a coefficient, or (True) of a number that a function is taken of, which CasADi must
+                not compute. By default a coefficient must be a decimal of double length, because CasADi would
+                round another one, and functions of numbers must not occur; else UnsupportedOperation is raised.
+            alone: whether the result may be put in for a variable, and so become the argument of a function.
         """
         make = number or _decimal_number
         cache: dict[int, ca.SX] = {}
@@ -417,7 +423,7 @@ class Field:
                 return symbols[k]
             if k not in cache:
                 atom = self.atoms[k]
-                cache[k] = getattr(ca, atom.kind)(expression(atom.argument))
+                cache[k] = getattr(ca, atom.kind)(expression(atom.argument, True))
             return cache[k]
 
         def polynomial(p: fmpq_mpoly) -> ca.SX:
@@ -426,23 +432,26 @@ class Field:
                 factors = [generator(k) if e == 1 else generator(k) ** e for k, e in powers]
                 value = fraction(coefficient)
                 if not factors:
-                    total = total + make(value)
+                    total = total + make(value, False)
                     continue
                 product = factors[0]
                 for factor in factors[1:]:
                     product = product * factor
-                total = total + (product if value == 1 else -product if value == -1 else make(value) * product)
+                total = total + (product if value == 1 else -product if value == -1 else make(value, False) * product)
             return total
 
-        def expression(q: Quotient) -> ca.SX:
+        def expression(q: Quotient, argument: bool) -> ca.SX:
+            constant = q.constant() if argument else None
+            if constant is not None:
+                return make(fraction(constant), True)
             top = polynomial(q.numerator)
             return top if q.is_polynomial() else top / polynomial(q.denominator)
 
-        return expression(element)
+        return expression(element, alone)
 
 
-def _decimal_number(value: Fraction) -> ca.SX:
-    if exact_decimal(float(value)) != value:
+def _decimal_number(value: Fraction, argument: bool) -> ca.SX:
+    if argument or exact_decimal(float(value)) != value:
         raise UnsupportedOperation(f"the number {value} is no decimal of double length")
     return ca.SX(float(value))
 
