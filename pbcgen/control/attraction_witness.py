@@ -48,7 +48,7 @@ def steps_to_rest(system: Stability, terms: Writing) -> tuple[Elimination, dict[
             found[str(i)] = {str(j): str(c) for j, c in weights.items()}
         return {i: row for i, row in found.items() if row}
 
-    steps = eliminate(chain, terms, range(len(system.field.symbols)), lambda: rates() is not None)
+    steps = eliminate(chain, terms, range(len(system.field.symbols)), lambda: rates() is not None, range(system.n))
     combined = rates()
     return None if combined is None else (chain, {"steps": steps} | ({"rates": combined} if combined else {}))
 
@@ -74,18 +74,26 @@ def _weights(function: Function, others: Sequence[Function], up_to_constant: boo
 
 
 def eliminate(
-    chain: Elimination, terms: Writing, order: Sequence[int], enough: Callable[[], bool] = lambda: False
+    chain: Elimination,
+    terms: Writing,
+    order: Sequence[int],
+    enough: Callable[[], bool] = lambda: False,
+    alike: Sequence[int] = (),
 ) -> Steps:
-    """Solve equations for variables and take Lie derivatives until that is enough, or nothing new appears."""
+    """Solve equations for variables and take Lie derivatives until that is enough, or nothing new appears.
+
+    Variables are taken in order, except for those that are ``alike``.
+    """
     steps: Steps = []
     derived: set[int] = set()
+    left: list[Function] = []  # of each equation
     for _ in range(_ROUNDS * len(order)):
-        while (found := _solvable(chain, order)) is not None:
+        while (found := _solvable(chain, order, alike, left)) is not None:
             source, k, value, kind, scale = found
             if not chain.solve(source, k, value, kind, scale):
                 return steps
             steps.append([source, k, terms.function(value), *([kind, str(fraction(scale))] if kind else [])])
-        open_ = [i for i, e in enumerate(chain.equations) if i not in derived and _is_open(chain.reduced(e))]
+        open_ = [i for i, e in enumerate(left) if i not in derived and _is_open(e)]
         if not open_ or not any(rate.top for rate in chain.rates) or enough():
             return steps
         for i in open_:
@@ -99,22 +107,40 @@ def _is_open(e: Function) -> bool:
     return bool(e.top) and len(e.top) <= _MOST_TERMS
 
 
-def _solvable(chain: Elimination, order: Sequence[int]) -> tuple[int, int, Function, str, fmpq] | None:
-    for source, equation in enumerate(chain.equations):
-        reduced = chain.reduced(equation)
+def _solvable(
+    chain: Elimination, order: Sequence[int], alike: Sequence[int], left: list[Function]
+) -> tuple[int, int, Function, str, fmpq] | None:
+    """The first step that an equation allows; ``left`` takes what is left of each that is looked at."""
+    left += chain.equations[len(left) :]
+    for source, equation in enumerate(left):
+        reduced = left[source] = chain.reduced(equation)
         if not _is_open(reduced):
             continue
         factor = _essential(chain.field, reduced.top)
         if factor is None:
             continue
-        for k in order:
+        for k in _among(chain.field, factor, order):
             solution = _linear(chain.field, factor, k)
             if solution is not None:
-                return source, k, solution, "", fmpq(1)
+                found = _fewest(chain, factor, alike) if k in alike else (k, solution)
+                return source, *found, "", fmpq(1)
             inside = _through(chain.field, factor, k)
             if inside is not None:
                 return source, k, *inside
     return None
+
+
+def _among(field: Field, polynomial: fmpq_mpoly, order: Sequence[int]) -> Sequence[int]:
+    """The variables that a polynomial may depend on: all where it holds atoms."""
+    used = {j for j, degree in enumerate(polynomial.degrees()) if degree}
+    return order if min(used, default=0) < field.pool else [k for k in order if field.pool + k in used]
+
+
+def _fewest(chain: Elimination, factor: fmpq_mpoly, alike: Sequence[int]) -> tuple[int, Function]:
+    """Of several variables that an equation gives one that the fewest solved ones depend on: these change with it."""
+    field, used = chain.field, [value.used for value in chain.solved.values()]
+    found = {k: v for k in _among(field, factor, alike) if (v := _linear(field, factor, k)) is not None}
+    return min(found.items(), key=lambda item: sum(field.pool + item[0] in places for places in used))
 
 
 def _essential(field: Field, polynomial: fmpq_mpoly) -> fmpq_mpoly | None:
@@ -351,24 +377,23 @@ def _kinetic(system: Stability, energy: Function) -> list[tuple[Function, Functi
 
 
 def _diagonal(matrix: Sequence[Sequence[Function]], z: Sequence[Function]) -> list[tuple[Function, Function]]:
-    """``z^T M z = sum d_i t_i^2``: (d_i, t_i), without those with d_i = 0."""
-    work, found = [list(row) for row in matrix], []
-    for i in range(len(work)):
-        pivot = work[i][i]
-        if pivot.top.is_zero():
-            if any(v.top for v in work[i]):
-                return []
-            continue
-        ratios = {k: v / pivot for k, v in enumerate(work[i]) if k >= i and v.top}
-        t = z[i]
+    """``z^T M z = sum d_i t_i^2``: (d_i, t_i), without those with d_i = 0; rows with few entries first."""
+    work, found = {i: {k: v for k, v in enumerate(row) if v.top} for i, row in enumerate(matrix)}, []
+    while work := {i: row for i, row in work.items() if row}:
+        i = min((len(row), i) for i, row in work.items() if i in row)[1] if any(i in work[i] for i in work) else None
+        if i is None:
+            return []
+        row = work.pop(i)
+        pivot = row.pop(i)
+        ratios, t = {k: v / pivot for k, v in row.items()}, z[i]
         for k, ratio in ratios.items():
-            t = t if k == i else t + ratio * z[k]
+            t = t + ratio * z[k]
         found.append((pivot, t))
-        for a in ratios.keys() - {i}:
-            for b in ratios.keys() - {i}:
-                work[a][b] = work[a][b] - ratios[a] * pivot * ratios[b]
-        for a in range(len(work)):
-            work[a][i] = work[i][a] = z[i] * 0
+        for a, v in row.items():
+            del work[a][i]
+            for b, ratio in ratios.items():
+                value = work[a][b] - v * ratio if b in work[a] else -(v * ratio)
+                work[a] = {k: w for k, w in work[a].items() if k != b} | ({b: value} if value.top else {})
     return found
 
 
@@ -404,8 +429,8 @@ def _quadratic(
     return _diagonal(Q, shifted), [solution.get(("gamma", j), fmpq(0)) for j in range(len(gamma))]
 
 
-def _unknown(field: Field, function: Function, known: set[int]) -> set[int]:
-    return {k for k, d in enumerate(slopes(field, function)) if d.top} - known
+def _present(field: Field, function: Function | None) -> set[int]:
+    return set() if function is None else {k for k, d in enumerate(slopes(field, function)) if d.top}
 
 
 def _ordered(
@@ -420,16 +445,14 @@ def _ordered(
     result: list[list[Any]] = []
     waiting: list[tuple[Function | None, Function, Any]] = [(s, t, None) for s, t in squares]
     waiting += [(None, g, j) for j, g in enumerate(gamma) if g is not None]
+    present = [(_present(field, s), _present(field, t)) for s, t, _ in waiting]
     while waiting:
-        ready = [
-            (i, _unknown(field, t, known))
-            for i, (s, t, _) in enumerate(waiting)
-            if s is None or not _unknown(field, s, known)
-        ]
+        ready = [(i, in_t - known) for i, (in_s, in_t) in enumerate(present) if in_s <= known]
         single = ((i, *new) for i, new in ready if len(new) == 1)
         chosen = next(((i, k) for i, k in single if _is_coordinate(field, *waiting[i][:2], k)), None)
         if chosen is None:
             break
+        present.pop(chosen[0])
         weight, t, j = waiting.pop(chosen[0])
         k = chosen[1]
         known.add(k)

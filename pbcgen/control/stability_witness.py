@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -22,6 +23,7 @@ from pbcgen.passivity.lasalle import InvariantSet
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.lyapunov import Kind, lyapunov
 from pbcgen.proof.tree import tree
+from pbcgen.reading.growth import GLOBAL
 from pbcgen.reading.system import Fails
 from pbcgen.symbolic.linear import Inconsistent, Row, reduce_rows, solve
 from pbcgen.symbolic.plain.elimination import Elimination
@@ -29,13 +31,9 @@ from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, krawczyk, stable
 from pbcgen.symbolic.plain.values import Function, Grow, NotCheckable, partial, plain, variables
 from pbcgen.symbolic.real import approximate, fraction, midpoint
-from pbcgen.verify.claims import BITS, BITS_PER_STATE
+from pbcgen.verify.claims import LARGEST_ROUTH, bits_for
 from pbcgen.verify.stability import Stability
 
-#: Larger loops have a Lyapunov matrix in the certificate; smaller ones are decided by Routh's array.
-_LARGEST_ROUTH = 20
-#: Larger systems have no chain of implications in the certificate; it would take minutes to check.
-_LARGEST_CHAIN = 100
 #: Boxes over a period of the angles for each limit.
 _MOST_BOXES = 3000
 _DIGITS = (5, 8, 12, 17)
@@ -54,8 +52,7 @@ def stability_witnesses(derivation: Derivation, document: Mapping[str, Any], ter
     try:
         for _ in range(100):
             found, writing = {}, copy.deepcopy(terms)
-            n = derivation.plant.system.n
-            ctx.prec = BITS + BITS_PER_STATE * (n if n <= _LARGEST_ROUTH else 0)
+            ctx.prec = bits_for(derivation.plant.system.n)
             try:
                 work = _Work(derivation, Stability({**document, "terms": writing.lines()}, *settings), writing)
                 found = {name: work.witness(claim) for name, claim in wanted.items()}
@@ -138,13 +135,27 @@ class _Work:
         system = self.system
         if claim.status is Status.REFUTED:
             return self._conserved() or self._undamped()
+        if len(system.continuous) <= LARGEST_ROUTH:
+            return None if stable(system.continuous, False) else self._by_steps()
+        if (found := self._by_storage()) is not None:
+            return found
         storage = _storage(system.continuous, "hurwitz")
-        if storage is not None:
-            return {"P": storage}
-        if stable(system.continuous, False):
-            return None
-        found = steps_to_rest(system, self.terms)
+        return None if storage is None else {"P": storage}
+
+    def _by_steps(self) -> Witness:
+        found = steps_to_rest(self.system, self.terms)
         return None if found is None else found[1]
+
+    def _by_storage(self) -> Witness:
+        """The Lyapunov function's steps: those of the global claim, if that is proved."""
+        overall = next(c for c in self.derivation.claims if c.claim == GLOBAL)
+        if overall.status is Status.PROVED and self.everywhere(overall) is not None:
+            return {"globally": True}
+        try:
+            self.system.lyapunov()
+        except _GIVE_UP:
+            return None
+        return self._by_steps()
 
     def _conserved(self) -> Witness:
         """A constant combination of the states that no input changes."""
@@ -185,8 +196,10 @@ class _Work:
         """`globally-asymptotically-stable`."""
         if claim.status is Status.REFUTED:
             return self._second(claim)
-        if self.system.n > _LARGEST_CHAIN:
-            return None
+        return self._attraction
+
+    @cached_property
+    def _attraction(self) -> Witness:
         circuit = self.derivation.plant.system.circuit
         currents, weight = [], []  # type: list[Any], list[list[fmpq]]
         if circuit is not None:
@@ -278,20 +291,20 @@ class _Work:
 
     def sampled(self, claim: Claim) -> Witness:
         """`sampled-stable`."""
-        result: dict[str, Any] = {}
         if claim.status is Status.REFUTED:
             return None
-        storage = _storage(self.system.sampled, "schur")
-        if storage is not None:
-            result["P"] = storage
-        if claim.domain == "sampled loop, all x" or (storage is None and not stable(self.system.sampled, True)):
+        large = len(self.system.continuous) > LARGEST_ROUTH
+        decreases = large and rational(claim.certificate.get("lyapunov_period", "0")) > self.system.period
+        if claim.domain == "sampled loop, all x" or decreases or not (large or stable(self.system.sampled, True)):
             damped = "natural-damping" in self.system.law
             if self.system.inertia:
                 found = velocity_witness.sampled_damping(self.derivation, self.system, damped, self.terms)
             else:
                 found = sampled_damping(self.derivation, damped, self.terms)
-            result |= found or {}
-        return result
+            if found is not None:
+                return found
+        storage = _storage(self.system.sampled, "schur") if large else None
+        return None if storage is None else {"P": storage}
 
 
 _MAKERS = {
@@ -306,9 +319,7 @@ _MAKERS = {
 
 
 def _storage(matrix: Matrix, kind: Kind) -> list[list[str]] | None:
-    """The lower triangle of a Lyapunov matrix with as few digits as suffice, for large loops."""
-    if len(matrix) <= _LARGEST_ROUTH:
-        return None
+    """The lower triangle of a Lyapunov matrix with as few digits as suffice."""
     proof = lyapunov(matrix, kind)
     if proof.status is not Status.PROVED:
         return None

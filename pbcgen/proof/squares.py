@@ -74,6 +74,8 @@ class Square:
 def decompose(function: Quotient, leaf: Leaf | None = None) -> list[Square] | None:
     """The function as a sum of squares (vectors of length one), or None if none was found."""
     field = function.field
+    if (constant := function.constant()) is not None and constant > 0:
+        return [Square(constant, (), (field.const(1),))]
     known = Known.of(field, frozenset())
     if function.is_polynomial():
         return _polynomial(field, function.numerator, known, leaf=leaf)
@@ -87,28 +89,26 @@ def decompose(function: Quotient, leaf: Leaf | None = None) -> list[Square] | No
 
 def decompose_matrix(matrix: Sequence[Sequence[Quotient]], leaf: Leaf | None = None) -> list[Square] | None:
     """A symmetric matrix of functions as a sum of squares, by elimination; None if none was found."""
-    work = [list(row) for row in matrix]
-    order = list(range(len(matrix)))
+    work = {i: {j: v for j, v in enumerate(row) if not v.is_zero()} for i, row in enumerate(matrix)}
     found: list[Square] = []
-    while order:
-        zero = [k for k in order if work[k][k].is_zero()]
-        if any(not work[k][j].is_zero() for k in zero for j in order):
+    while work := {i: row for i, row in work.items() if row}:
+        if any(i not in row for i, row in work.items()):
             return None
-        order = [k for k in order if k not in zero]
-        if not order:
-            break
-        order.sort(key=lambda k: (sum(not work[k][j].is_zero() for j in order), len(work[k][k].numerator), k))
-        pivot, squares = next(((k, s) for k in order if (s := decompose(work[k][k], leaf)) is not None), (-1, []))
-        if pivot < 0:
+        order = sorted(work, key=lambda i: (len(work[i]), len(work[i][i].numerator), i))
+        i, squares = next(((i, s) for i in order if (s := decompose(work[i][i], leaf)) is not None), (-1, []))
+        if i < 0:
             return None
-        zeros = work[0][0].field.const(0)
-        column = [row[pivot] / work[pivot][pivot] if i in order else zeros for i, row in enumerate(work)]
-        found += [square.times(column) for square in squares]
-        order.remove(pivot)
-        for i in order:
-            if not column[i].is_zero():
-                for j in order:
-                    work[i][j] = work[i][j] - column[i] * work[pivot][j]
+        row = work.pop(i)
+        column = {j: v / row[i] for j, v in row.items()}
+        zero = row[i].field.const(0)
+        found += [square.times([column.get(j, zero) for j in range(len(matrix))]) for square in squares]
+        for j in row.keys() - {i}:
+            below = work[j]
+            del below[i]
+            for k in row.keys() - {i}:
+                value = below.get(k, zero) - column[j] * row[k]
+                below.pop(k, None)
+                below |= {} if value.is_zero() else {k: value}
     return found
 
 

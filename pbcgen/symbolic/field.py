@@ -399,21 +399,15 @@ class Field:
     # --- back to CasADi -----------------------------------------------------------------------------------
 
     def to_sx(
-        self,
-        element: Quotient,
-        symbols: Sequence[ca.SX],
-        number: Callable[[Fraction, bool], ca.SX] | None = None,
-        alone: bool = False,
+        self, element: Quotient, symbols: Sequence[ca.SX], number: Callable[[Fraction], ca.SX] | None = None
     ) -> ca.SX:
         """The element as an SX expression of ``symbols``, which stand for the field's symbols in order.
 
         Args:
             element: of this field.
             symbols: at least one for each symbol of the field.
-            number: makes an SX of a coefficient, or (True) of a number that a function is taken of, which CasADi must
-                not compute. By default a coefficient must be a decimal of double length, because CasADi would
-                round another one, and functions of numbers must not occur; else UnsupportedOperation is raised.
-            alone: whether the result may be put in for a variable, and so become the argument of a function.
+            number: makes an SX of a coefficient. By default a coefficient must be a decimal of double length, because
+                CasADi would round another one; else UnsupportedOperation is raised.
         """
         make = number or _decimal_number
         cache: dict[int, ca.SX] = {}
@@ -423,7 +417,7 @@ class Field:
                 return symbols[k]
             if k not in cache:
                 atom = self.atoms[k]
-                cache[k] = getattr(ca, atom.kind)(expression(atom.argument, True))
+                cache[k] = getattr(ca, atom.kind)(expression(atom.argument))
             return cache[k]
 
         def polynomial(p: fmpq_mpoly) -> ca.SX:
@@ -432,26 +426,23 @@ class Field:
                 factors = [generator(k) if e == 1 else generator(k) ** e for k, e in powers]
                 value = fraction(coefficient)
                 if not factors:
-                    total = total + make(value, False)
+                    total = total + make(value)
                     continue
                 product = factors[0]
                 for factor in factors[1:]:
                     product = product * factor
-                total = total + (product if value == 1 else -product if value == -1 else make(value, False) * product)
+                total = total + (product if value == 1 else -product if value == -1 else make(value) * product)
             return total
 
-        def expression(q: Quotient, argument: bool) -> ca.SX:
-            constant = q.constant() if argument else None
-            if constant is not None:
-                return make(fraction(constant), True)
+        def expression(q: Quotient) -> ca.SX:
             top = polynomial(q.numerator)
             return top if q.is_polynomial() else top / polynomial(q.denominator)
 
-        return expression(element, alone)
+        return expression(element)
 
 
-def _decimal_number(value: Fraction, argument: bool) -> ca.SX:
-    if argument or exact_decimal(float(value)) != value:
+def _decimal_number(value: Fraction) -> ca.SX:
+    if exact_decimal(float(value)) != value:
         raise UnsupportedOperation(f"the number {value} is no decimal of double length")
     return ca.SX(float(value))
 
@@ -498,3 +489,10 @@ def _split(values: Sequence[Quotient], sizes: Sequence[int]) -> list[list[Quotie
         pieces.append(list(values[start : start + size]))
         start += size
     return pieces
+
+
+#: Functions whose atoms the display and the provers know by name.
+KNOWN_KINDS: Mapping[str, Callable[..., object]] = {
+    kind: getattr(ca, kind)
+    for kind in ("sin", "cos", "exp", "log", "sqrt", "tanh", "atan", "asin", "acos", "asinh", "acosh", "atanh", "erf")
+}

@@ -199,10 +199,7 @@ class Tape:
                 entries[output][positions[output][nonzero]] = register[operands[0]]
                 continue
             if code == ca.OP_CONST:
-                number = function.instruction_constant(k)
-                if not math.isfinite(number):
-                    raise UnsupportedOperation("a formula that was derived is not defined at the numbers put into it")
-                instruction: Instruction = Constant(exact_decimal(number))
+                instruction: Instruction = Constant(exact_decimal(function.instruction_constant(k)))
             elif code == ca.OP_INPUT:
                 instruction = Input(operands[0], operands[1])
             elif code in OPERATIONS:

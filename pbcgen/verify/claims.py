@@ -12,9 +12,9 @@ from pbcgen.reading.system import Fails, require
 from pbcgen.symbolic.plain.values import Grow, NotCheckable
 from pbcgen.verify.stability import Stability
 
-#: Bits of the balls, and more for each state: the characteristic polynomial of a large matrix loses many, and a
-#: certificate with a storage P for its closed loops needs none.
-BITS, BITS_PER_STATE = 333, 48
+#: Bits of the balls, and more for each state: a characteristic polynomial loses many. Where a large loop is shown to be
+#: stable without one, none are needed.
+BITS, BITS_PER_STATE, LARGEST_ROUTH = 333, 48, 20
 
 _MISFITS = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError)
 
@@ -37,13 +37,18 @@ def examine(document: Mapping[str, Any]) -> list[Finding]:
         for _ in range(100):
             try:
                 system = Stability(document, *settings)
-                ctx.prec = BITS + BITS_PER_STATE * (0 if "P" in system.witness["sampled-stable"] else system.n)
+                ctx.prec = bits_for(system.n, {"P", "Lambda"} & system.witness["sampled-stable"].keys())
                 return [find(system, entry["claim"], entry["status"]) for entry in document["claims"]]
             except Grow as larger:
                 settings = larger.args
     finally:
         ctx.prec = bits
     return [Finding(entry["claim"], entry["status"], "recorded", "too many arguments") for entry in document["claims"]]
+
+
+def bits_for(states: int, without: object = True) -> int:
+    """The precision for a system of so many states; ``without`` a characteristic polynomial if its loops are large."""
+    return BITS + BITS_PER_STATE * (0 if without and states > LARGEST_ROUTH else states)
 
 
 def find(system: Stability, claim: str, status: str) -> Finding:

@@ -32,18 +32,18 @@ class Stability(Assumptions):
     def lyapunov(self) -> None:
         """The Lyapunov function of Prop. pro1, pro2 or pro4."""
         require("integral" not in self.law, "the law has no Lyapunov function")
-        for check in (self.proved_assumption_1, self.proved_passive_output, self.proved_gradient_condition):
-            self.once(check)
-        self.proved_hessian_condition()
+        checks = [self.proved_assumption_1, self.proved_passive_output, self.proved_gradient_condition]
+        checks += [self.proved_hessian_condition]
         if "passive-output" not in self.law:
-            self.proved_gain_definiteness()
-            self.proved_kc_bound()
-        if "natural-damping" in self.law:
-            self.once(self.proved_theta)
+            checks += [self.proved_gain_definiteness, self.proved_kc_bound]
+        for check in checks + ([self.proved_theta] if "natural-damping" in self.law else []):
+            self.once(check)
 
     @cached_property
     def is_hurwitz(self) -> bool | None:
-        """Whether the linearised closed loop is Hurwitz; None if that is not certain."""
+        """Whether the linearised closed loop is Hurwitz; None if that is not certain, or not what is shown."""
+        if {"steps", "globally"} & self.witness["asymptotically-stable"].keys():
+            return None
         return stable(self.continuous, False, self.storage("asymptotically-stable"))
 
     def proved_stable(self) -> None:
@@ -63,7 +63,7 @@ class Stability(Assumptions):
             require(self.is_hurwitz is None, "the linearisation is not Hurwitz")
             if self.status[_GLOBAL] != "PROVED":
                 raise NotCheckable("the certificate does not hold the chain of implications")
-            return self.proved_globally_asymptotically_stable()
+            return self.once(self.proved_globally_asymptotically_stable)
         self.lyapunov()
         self.chain("asymptotically-stable")
         self.smooth()
@@ -161,15 +161,16 @@ class Stability(Assumptions):
     # --- sampled ---------------------------------------------------------------------------------------------------
 
     def proved_sampled_stable(self) -> None:
-        """The linearised sampled loop is Schur; on the whole space, or without that, the storage decreases."""
+        """The storage decreases, where its damping is given; else the linearised sampled loop is Schur."""
         whole = self.domain["sampled-stable"] == "sampled loop, all x"
-        linear = stable(self.sampled, True, self.storage("sampled-stable"))
-        if whole or not linear:
-            require(linear is not False, "the linearised sampled loop is not Schur")
-            if "Lambda" not in self.witness["sampled-stable"]:
-                raise NotCheckable("the certificate does not hold the damping that sampling consumes")
+        if "Lambda" in self.witness["sampled-stable"]:
             self.once(self.proved_globally_asymptotically_stable if whole else self.proved_asymptotically_stable)
-            self._decreases()
+            return self._decreases()
+        linear = stable(self.sampled, True, self.storage("sampled-stable"))
+        require(linear is not False, "the linearised sampled loop is not Schur")
+        if whole or not linear:
+            raise NotCheckable("the certificate does not hold the damping that sampling consumes")
+        return None
 
     def refuted_sampled_stable(self) -> None:
         """An eigenvalue of the linearised sampled loop lies outside the unit disc."""

@@ -9,6 +9,7 @@ from pbcgen import (
     Circuit,
     Design,
     DynamicExtension,
+    Integral,
     Limits,
     Mechanical,
     NaturalDamping,
@@ -175,14 +176,34 @@ def wrong_output():
     return _design(system, [0, 0])
 
 
-def chain(masses=12):
-    """A chain of masses: more states than Routh's array is used for."""
+def chain(masses=12, law=LAW, sample_period="1e-2", cut=None, **options):
+    """A chain of masses: more states than Routh's array is used for. Those behind a ``cut`` have no damping."""
     q, p = ca.SX.sym("q", masses), ca.SX.sym("p", masses)
-    V = sum(((q[k] - q[k + 1]) ** 2 for k in range(masses - 1)), q[0] ** 2) / 2
+    V = sum(((q[k] - (0 if k == cut else q[k + 1])) ** 2 for k in range(masses - 1)), q[0] ** 2) / 2
     G = [[1]] + [[0]] * (masses - 1)
-    return _design(
-        Mechanical(q, p, M=ca.SX.eye(masses), V=V, G=G, D=[1] * masses), {"q_0": "0.5"}, sample_period="1e-2"
-    )
+    D = [1 if cut is None or k <= cut else 0 for k in range(masses)]
+    system = Mechanical(q, p, M=ca.SX.eye(masses), V=V + (q[masses - 1] ** 2 if cut else 0), G=G, D=D, **options)
+    return _design(system, {"q_0": "0.5"}, law, sample_period=sample_period)
+
+
+def integral_chain():
+    """The same with a law that has no Lyapunov function."""
+    return chain(law=Integral(LAW, alpha_psi=["0.1"], beta_psi=[1], R_psi=[1]))
+
+
+def slowly_sampled_chain():
+    """The same, sampled more slowly than the storage allows."""
+    return chain(sample_period="0.5")
+
+
+def chain_on_a_domain():
+    """The same where nothing is known outside of a box: what the storage shows is local."""
+    return chain(domain={"q_0": (-1, 1)})
+
+
+def cut_chain():
+    """The same with half of it on its own, without damping."""
+    return chain(cut=5)
 
 
 def two_links(side=0):
@@ -305,6 +326,10 @@ DESIGNS = {
         unassignable_target,
         wrong_output,
         chain,
+        integral_chain,
+        slowly_sampled_chain,
+        chain_on_a_domain,
+        cut_chain,
         two_links,
         three_links,
         three_links_compensated,

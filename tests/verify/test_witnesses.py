@@ -69,7 +69,10 @@ KINDS = {
     "narrow_band": ("assumption-1", "PROVED", "squares"),
     "unassignable_target": ("equilibrium", "REFUTED", "steps"),
     "wrong_output": ("passive-output", "REFUTED", "x"),
-    "chain": (LOCAL, "PROVED", "P"),
+    "chain": (LOCAL, "PROVED", "globally"),
+    "integral_chain": (LOCAL, "PROVED", "P"),
+    "slowly_sampled_chain": (SAMPLED, "PROVED", "P"),
+    "chain_on_a_domain": (LOCAL, "PROVED", "steps"),
     "cubic_load": (GLOBAL, "PROVED", "currents"),
     "shunt": (GLOBAL, "PROVED", "currents"),
     "quartic_coupling": (GLOBAL, "PROVED", "excess"),
@@ -146,7 +149,7 @@ def test_a_box_is_no_proof_for_another_domain():
 
 def _with_storage(P):
     """The certificate of the chain with this storage for its sampled loop, and nothing else for that claim."""
-    document = copy.deepcopy(document_of("chain"))
+    document = copy.deepcopy(document_of("slowly_sampled_chain"))
     for entry in document["claims"]:
         if entry["claim"] == SAMPLED:
             entry |= {"witness": {"P": P}, "domain": "sampled loop"}
@@ -154,7 +157,7 @@ def _with_storage(P):
 
 
 def test_a_storage_that_is_not_definite_or_does_not_fall_is_refused():
-    P = witness(document_of("chain"), SAMPLED)["P"]
+    P = witness(document_of("slowly_sampled_chain"), SAMPLED)["P"]
     assert _with_storage(P) == "checked"
     for i in (0, len(P) // 2, len(P) - 1):
         for entry in ("0", "-1"):
@@ -162,6 +165,13 @@ def test_a_storage_that_is_not_definite_or_does_not_fall_is_refused():
     negative = [[v.removeprefix("-") if v.startswith("-") else f"-{v}" for v in row] for row in P]
     for rows in ([], P[:-1], negative):
         assert _with_storage(rows) != "checked"
+
+
+def test_a_local_claim_does_not_rest_on_a_global_one_that_is_not_shown():
+    document = document_of("integral_chain")
+    assert outcomes(with_witness(document, LOCAL, globally=True))[LOCAL] != "checked"
+    for name, claim in (("chain", GLOBAL), ("chain_on_a_domain", LOCAL)):
+        assert outcomes(with_witness(document_of(name), claim, steps=[]))[LOCAL] == "fails"
 
 
 def test_x_star_is_no_second_equilibrium():
@@ -243,6 +253,9 @@ PAIRS = [
     ("cubic_damping", "unassignable_target", "equilibrium"),
     ("cubic_load", "tunnel_diode", GLOBAL),
     ("shunt", "tunnel_diode", GLOBAL),
+    ("chain", "cut_chain", LOCAL),
+    ("chain_on_a_domain", "cut_chain", LOCAL),
+    ("integral_chain", "cut_chain", LOCAL),
 ]
 
 
@@ -297,13 +310,14 @@ def test_a_witness_that_is_not_found_leaves_its_claim_recorded(monkeypatch):
 
 #: Verdicts that are known to be wrong of these designs, beside those that are REFUTED.
 WRONG = {"overloaded_pendulum": {GLOBAL}, "undamped_mode": {SAMPLED}, "conserved_charge": {SAMPLED}}
+WRONG |= {"cut_chain": {LOCAL, GLOBAL, SAMPLED}}
 
 
 @pytest.mark.parametrize(
     "name",
     [
         *("softening_spring", "weakly_held_pendulum", "overloaded_pendulum", "undamped_mode", "antisymmetric_mode"),
-        *("conserved_charge", "negative_damping", "wrong_output", "unassignable_target"),
+        *("conserved_charge", "negative_damping", "wrong_output", "unassignable_target", "cut_chain"),
     ],
 )
 def test_witnesses_that_are_looked_for_where_the_claim_is_wrong_show_nothing(name):

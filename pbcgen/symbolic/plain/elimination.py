@@ -6,7 +6,7 @@ was found before is put in, is what is said to vanish times a function that vani
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from flint import fmpq
@@ -51,10 +51,14 @@ class Elimination:
 
     def reduced(self, a: Function) -> Function:
         """The function with the solved variables put in."""
-        if not self.solved:
+        return self._with(self.solved, a)
+
+    def _with(self, values: Mapping[int, Function], a: Function) -> Function:
+        """The function with these values of variables put in, where one may occur."""
+        if not any(j < self.field.pool or j - self.field.pool in values for j in a.used):
             return a
-        values = [self.solved.get(k, symbol) for k, symbol in enumerate(self.field.symbols)]
-        return self.field.lift(put_in(self.field, a, values))
+        point = [values.get(k, symbol) for k, symbol in enumerate(self.field.symbols)]
+        return self.field.lift(put_in(self.field, a, point))
 
     def derive(self, source: int) -> None:
         """Add the derivative of an equation along the trajectories; ``0 = 0`` if it holds variables without a rate."""
@@ -69,7 +73,8 @@ class Elimination:
         increasing, times a function that vanishes nowhere.
         """
         zero = self.field.symbols[k] - value
-        fresh = k not in self.solved and not any(slopes(self.field, value)[j].top for j in (k, *self.solved))
+        by = slopes(self.field, value)
+        fresh = k not in self.solved and not any(by[j].top for j in (k, *self.solved))
         if not fresh or (kind and (kind not in ODD or scale == 0)):
             return False
         e, gone = self.reduced(self.equations[source]), apply(kind, zero * scale) if kind else zero
@@ -87,5 +92,4 @@ class Elimination:
 
     def assume(self, k: int, value: Function) -> None:
         """Put a value of a variable in everywhere."""
-        values = [value if j == k else symbol for j, symbol in enumerate(self.field.symbols)]
-        self.solved = {j: self.field.lift(put_in(self.field, a, values)) for j, a in self.solved.items()} | {k: value}
+        self.solved = {j: self._with({k: value}, a) for j, a in self.solved.items()} | {k: value}

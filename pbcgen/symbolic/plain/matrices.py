@@ -78,15 +78,21 @@ def _together(value: arb_mat, slopes: dict[int, arb_mat]) -> Matrix:
 
 
 def is_definite(a: Matrix, semi: bool = False) -> bool:
-    """Whether a symmetric matrix is certainly positive (semi)definite: by elimination, every pivot is."""
-    if not a:
-        return True
-    (pivot, *row), *rest = a
-    if semi and all(sign(v) == 0 for v in (pivot, *row)):
-        return is_definite([line[1:] for line in rest], semi)
-    return sign(pivot) == 1 and is_definite(
-        [[v - line[0] * h / pivot for v, h in zip(line[1:], row, strict=True)] for line in rest], semi
-    )
+    """Whether a symmetric matrix is certainly positive (semi)definite: by elimination, every pivot is.
+
+    Rows with few entries come first: a large system stays sparse.
+    """
+    rows = {i: {k: v for k, v in enumerate(row) if sign(v) != 0} for i, row in enumerate(a)}
+    while rows:
+        i = min(rows, key=lambda i: len(rows[i]))
+        row = rows.pop(i)
+        pivot = row.pop(i, fmpq(0))
+        if sign(pivot) != 1 and not (semi and all(sign(v) == 0 for v in (pivot, *row.values()))):
+            return False
+        for k in row:
+            below = rows[k].pop(i, fmpq(0))
+            rows[k] |= {j: rows[k].get(j, fmpq(0)) - v * below / pivot for j, v in row.items() if pivot != 0}
+    return True
 
 
 def krawczyk(

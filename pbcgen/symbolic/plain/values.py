@@ -9,6 +9,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import prod
 from typing import Any
 
@@ -180,6 +181,12 @@ class Function(Value):
         """The function ``name`` of this one."""
         return self.field.function(name, self)
 
+    @cached_property
+    def used(self) -> list[int]:
+        """The symbols and atoms that occur, by their places among the generators."""
+        degrees = zip(self.top.degrees(), self.bottom.degrees(), strict=True)
+        return [k for k, both in enumerate(degrees) if max(both) > 0]
+
     def number(self) -> fmpq | None:
         """The value of a constant."""
         constant = self.top.is_constant() and self.bottom.is_constant()
@@ -217,7 +224,7 @@ class Field:
             raise ZeroDivisionError("division by the zero function")
         if len(top) + len(bottom) > _MOST_TERMS:
             raise NotCheckable("the functions are too large to be written out")
-        common = bottom if top.is_zero() else top.gcd(bottom)
+        common = bottom if top.is_zero() or bottom.is_constant() else top.gcd(bottom)
         scale = (bottom / common).leading_coefficient()
         return Function(self, top / common / scale, bottom / common / scale)
 
