@@ -109,12 +109,14 @@ def _undefined(situation: Situation) -> str:
         parts = [mechanics.M, mechanics.V, mechanics.D, mechanics.G, situation.gamma]
     if plant.tape(*parts).is_entire():
         return ""
+    if not plant.is_continuous:
+        return "f jumps, or S has a kink"
     try:
         field, _ = plant.exact(*parts)
     except (UnsupportedOperation, ZeroDivisionError) as reason:
         return str(reason)
     fine = all(
-        atom.kind in ENTIRE_KINDS or (atom.kind in _POSITIVE_ARGUMENT and positive(atom.argument))
+        atom.kind in ENTIRE_KINDS | {"fabs"} or (atom.kind in _POSITIVE_ARGUMENT and positive(atom.argument))
         for atom in field.atoms.values()
     )
     fine = fine and all(positive(d) or positive(-d) for d in field.divisors.values())

@@ -102,7 +102,7 @@ class _Chain:
         plant, symbols = self.plant, [*self.variables, *self.held]
         tape = Tape.of([ca.vertcat(*symbols), plant.parameter_symbols], [ca.vertcat(*expressions)])
         names = [*(f"y{k}" for k in range(len(symbols))), *plant.parameter_names]
-        field_, (values,) = evaluate(tape, names, plant.values)
+        field_, (values,) = evaluate(tape, names, plant.values, plant.reads_signs(tape))
         return values.column(field_.const(0))
 
     def to_sx(self, element: Quotient) -> ca.SX:

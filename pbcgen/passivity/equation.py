@@ -56,7 +56,7 @@ def essentials(value: Quotient) -> list[Quotient]:
 
 
 def _through_monotone(element: Quotient) -> Quotient:
-    """An atom T(xi) of an odd increasing function vanishes where xi does."""
+    """An atom T(xi) of an odd increasing function vanishes where xi does, and so does |xi|."""
     terms = element.numerator.to_dict()
     if len(terms) != 1:
         return element
@@ -65,7 +65,8 @@ def _through_monotone(element: Quotient) -> Quotient:
     if len(used) != 1 or exponents[used[0]] != 1:
         return element
     atom = element.field.atoms.get(used[0])
-    return element.field.polynomial(atom.argument.numerator) if atom and atom.kind in SECTOR_KINDS else element
+    through = atom is not None and atom.kind in SECTOR_KINDS | {"fabs"}
+    return element.field.polynomial(atom.argument.numerator) if atom is not None and through else element
 
 
 def never_zero(element: Quotient) -> bool:

@@ -30,6 +30,7 @@ from pbcgen.passivity.equation import (
     short,
 )
 from pbcgen.passivity.flow import Flow
+from pbcgen.proof.nonnegative import positive
 from pbcgen.symbolic.field import Field, Quotient, evaluate
 from pbcgen.symbolic.linear import CONSTANT, Row
 from pbcgen.symbolic.tape import Tape
@@ -111,7 +112,7 @@ class _Elimination:
         if self.spent > self.budget or len(tape.instructions) > _LARGEST_TAPE * len(expressions):
             raise UnsupportedOperation("the equations of the invariant set grow too large")
         names = [*self.names, *plant.parameter_names]
-        field_, (values,) = evaluate(tape, names, plant.values)
+        field_, (values,) = evaluate(tape, names, plant.values, plant.reads_signs(tape))
         functions = values.column(field_.const(0))
         if any(len(function.numerator) > _MOST_TERMS for function in functions):
             raise UnsupportedOperation("the equations of the invariant set grow too large")
@@ -353,18 +354,37 @@ def branches(flow_: Flow) -> list[InvariantSet]:
     """
     waiting: list[list[ca.SX]] = [[]]
     done: list[InvariantSet] = []
+    analytic = _is_analytic(flow_)
     while waiting:
         assumed = waiting.pop()
         try:
             base = ca.vertcat(flow_.base, *assumed)
             done.append(
-                _reduced(Flow(flow_.plant, flow_.constant, flow_.drift, base), len(assumed) < _DEEPEST, _BUDGET // 4)
+                _reduced(
+                    Flow(flow_.plant, flow_.constant, flow_.drift, base),
+                    analytic and len(assumed) < _DEEPEST,
+                    _BUDGET // 4,
+                )
             )
         except _Split as found:
             waiting += [[*assumed, factor] for factor in found.factors]
         if len(waiting) + len(done) > _MOST_BRANCHES:
             return []
     return done
+
+
+def _is_analytic(flow_: Flow) -> bool:
+    """Whether trajectories are analytic in time: no moduli, and roots and logarithms of positive functions only."""
+    plant = flow_.plant
+    both = ca.substitute(ca.vertcat(flow_.drift, flow_.base), flow_.constant, plant.system.u)
+    try:
+        field_, _ = plant.exact(both)
+    except UnsupportedOperation:
+        return False
+    return all(
+        atom.kind != "fabs" and (atom.kind not in ("sqrt", "log") or positive(atom.argument))
+        for atom in field_.atoms.values()
+    )
 
 
 def _reduced(flow_: Flow, splitting: bool, budget: int) -> InvariantSet:

@@ -6,6 +6,7 @@ numbers M(q*)^-1: no inverse is differentiated.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -14,6 +15,7 @@ from flint import fmpq
 from pbcgen.passivity.construction import drift_by_construction
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.proof.definite import RealMatrix, inverse
+from pbcgen.symbolic.moduli import continued
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, reals
 from pbcgen.symbolic.tape import Matrix, Tape
 
@@ -76,8 +78,19 @@ class Local:
         """The same values, sparse."""
         plant = self.plant
         tape = Tape.of([*plant.symbols, self.symbols], list(outputs))
+        if plant.reads_signs(tape):
+            tape = self._continued(outputs)
         numbers = plant.values
         parameters = reals([numbers[name] for name in plant.parameter_names])
         inputs: list[list[Real]] = [list(self.point.x), list(self.point.u), parameters, list(self.values)]
         with precision(BITS):
             return tape.walk(REAL, inputs)
+
+    def _continued(self, outputs: Sequence[ca.SX]) -> Tape:
+        """The tape of derivatives that are continuous although there are moduli."""
+        plant, own = self.plant, [f"own {k}" for k in range(self.symbols.numel())]
+        # The constants that are made on the way come last, so the symbols of x* stand before all of them.
+        inputs = [plant.system.x, plant.system.u, self.symbols, plant.parameter_symbols]
+        names = [*plant.system.state_names, *plant.system.input_names, *own, *plant.parameter_names]
+        whole = continued(outputs, inputs, names, plant.values, plant.number)
+        return Tape.of([*plant.symbols, self.symbols], whole)

@@ -316,7 +316,7 @@ def prove(
     """
     system = plant.system
     where = region or Region.whole(plant)
-    if not storage_proved:
+    if not storage_proved or not plant.is_differentiable(gamma):
         return None
     psi = ca.jacobian(gamma, system.x).T
     if structure_proved and structure is not None and gives_output(plant, structure, psi):

@@ -13,7 +13,9 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.affine import AffineSystem
 from pbcgen.models.numbers import is_short
 from pbcgen.passivity.construction import gradient_by_construction
+from pbcgen.proof.nonnegative import positive
 from pbcgen.symbolic.field import Field, Quotient, evaluate
+from pbcgen.symbolic.moduli import continued
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, reals
 from pbcgen.symbolic.tape import Matrix, Tape
 
@@ -132,9 +134,52 @@ class Plant:
         """An exact function of this plant's symbols as an SX expression."""
         return element.field.to_sx(element, [*self._fixed[0], *self.parameter_list], self.number)
 
+    @cached_property
+    def is_continuous(self) -> bool:
+        """Whether f and g are Lipschitz functions and S is differentiable, as far as moduli go.
+
+        What the user wrote must be free of sign(a); f, g and grad S, where they are derivatives of that, must be free
+        of it when they are simplified, see :mod:`pbcgen.symbolic.moduli`.
+        """
+        system, mechanics = self.system, self.system.mechanical
+        parts = [system.f, system.g, system.S]
+        if mechanics is not None:
+            parts = [mechanics.M, mechanics.V, mechanics.D, mechanics.G]
+        tapes = [Tape.of(self.symbols, [part]) for part in parts]
+        if any(tape.uses("sign") for tape in tapes):
+            return False
+        if not any(tape.uses("fabs") for tape in tapes):
+            return True
+        gradient = ca.gradient(system.S, system.x) if mechanics is None else mechanics.energy_gradient
+        return self._is_continued(ca.vertcat(system.f, ca.vec(ca.densify(system.g)), gradient))
+
+    def reads_signs(self, tape: Tape) -> bool:
+        """Whether derivatives of this system may be read with sign(a) as |a| / a, and there is one."""
+        return tape.uses("sign") and self.is_continuous
+
+    def is_differentiable(self, expression: ca.SX) -> bool:
+        """Whether moduli leave a column of functions of the state a continuous derivative."""
+        if not Tape.of(self.symbols, [expression]).uses("fabs"):
+            return True
+        return self._is_continued(ca.vec(ca.densify(ca.jacobian(expression, self.system.x))))
+
+    def _is_continued(self, derivative: ca.SX) -> bool:
+        tape = Tape.of(self.symbols, [derivative])
+        if not tape.uses("sign"):
+            return True
+        try:
+            field, (values,) = evaluate(tape, self.names, self.values, signs=True)
+        except (UnsupportedOperation, ZeroDivisionError):
+            return False
+        bottoms = [field.polynomial(value.denominator) for value in values.entries.values()]
+        return all(positive(bottom) or positive(-bottom) for bottom in bottoms)
+
     def tape(self, *outputs: ca.SX) -> Tape:
         """The tape of outputs that depend on (x, u, parameters)."""
-        return Tape.of(self.symbols, outputs)
+        tape = Tape.of(self.symbols, outputs)
+        if not self.reads_signs(tape):
+            return tape
+        return Tape.of(self.symbols, continued(outputs, self.symbols, self.names, self.values, self.number))
 
     def exact(
         self, *outputs: ca.SX, symbolic: bool = False, known: Mapping[str, Fraction] | None = None
@@ -145,7 +190,8 @@ class Plant:
         """
         parameters = self.system.parameters.names if symbolic else ()
         values = {name: value for name, value in self.values.items() if name not in parameters}
-        return evaluate(self.tape(*outputs), self.names, {**values, **(known or {})})
+        tape = Tape.of(self.symbols, outputs)
+        return evaluate(tape, self.names, {**values, **(known or {})}, self.reads_signs(tape))
 
     def parameter_positions(self) -> frozenset[int]:
         """Positions of the parameters among :attr:`names`."""

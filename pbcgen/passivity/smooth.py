@@ -7,8 +7,8 @@ import casadi as ca
 from pbcgen.passivity.plant import Plant
 
 _SMOOTH = {
-    "fabs": "fabs has no derivative at 0: write sqrt(v**2 + 1e-6) for fabs(v)",
     "sign": "sign jumps at 0: write tanh(v / 0.01) for sign(v)",
+    "fabs": "fabs has no derivative at 0: where no factor vanishes with it, write sqrt(v**2 + 1e-6) for fabs(v)",
     "fmin": "fmin has a kink: write (a + b - sqrt((a - b)**2 + 1e-6)) / 2 for fmin(a, b)",
     "fmax": "fmax has a kink: write (a + b + sqrt((a - b)**2 + 1e-6)) / 2 for fmax(a, b)",
     "if_else_zero": "if_else has a jump or a kink: blend the two sides with (1 + tanh(v / 0.01)) / 2",

@@ -152,6 +152,8 @@ def prove(plant: Plant, structure: PowerStructure, prover: Prover | None = None)
     """
     prover = prover or Everywhere()
     if structure.known and plant.gradient_is_exact and drift_by_construction(plant.system):
+        if not plant.is_continuous:
+            return StructureProof(True, False, False)
         return _by_construction(plant, structure, prover)
     try:
         field, (f, e, matrix, remainder, dissipation) = plant.exact(

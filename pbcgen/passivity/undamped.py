@@ -213,7 +213,7 @@ class _Planes:
         held = ca.vertcat(ca.SX(0, 1), *self.held.values())
         tape = Tape.of([x, held, plant.parameter_symbols], [ca.densify(column)])
         names = [*plant.system.state_names, *(str(s) for s in self.held.values()), *plant.parameter_names]
-        field, (values,) = evaluate(tape, names, plant.values)
+        field, (values,) = evaluate(tape, names, plant.values, plant.reads_signs(tape))
         return [v for v in values.column(field.const(0)) if not v.is_zero()]
 
     def _across(self, p: int, row: Mapping[int, Fraction]) -> ca.SX:

@@ -23,6 +23,7 @@ from pbcgen.symbolic.real import (
     approximate,
     ball,
     in_high_precision,
+    is_finite,
     midpoint,
     near_eigenvalues,
     rational,
@@ -244,6 +245,8 @@ def eigenvalues(matrix: Rows) -> list[float]:
     if not matrix:
         return []
     rows = nonzeros(matrix)
+    if not all(is_finite(entry) for row in rows for entry in row.values()):
+        return [float("nan")] * len(rows)
     if len(rows) > _LARGEST_PRECISE:
         places, values = _doubles(rows)
         middle = np.zeros((len(rows), len(rows)))

@@ -12,7 +12,7 @@ from pbcgen.proof.spot import Spots
 from pbcgen.symbolic.field import Field
 
 POSITIVE_KINDS = frozenset({"exp"})
-_NONNEGATIVE_KINDS = frozenset({"sqrt"})
+_NONNEGATIVE_KINDS = frozenset({"sqrt", "fabs"})
 #: Odd increasing functions: T(xi) has the sign of xi.
 SECTOR_KINDS = frozenset({"tanh", "atan", "asinh", "erf", "asin", "atanh"})
 #: Increasing functions whose sums of arguments the field does not take apart.
@@ -69,6 +69,10 @@ def _pairs(field: Field, positive: frozenset[int]) -> Iterator[tuple[fmpq_mpoly,
         (k, a) for k, a in sorted(field.atoms.items()) if a.kind in _INCREASING_KINDS and a.argument.is_polynomial()
     ]
     generators = field.context.gens()
+    for k in sorted(field.moduli):
+        argument = field.atoms[k].argument.numerator
+        yield generators[k] + argument, field.context.constant(1)
+        yield generators[k] - argument, field.context.constant(1)
     for k, atom in atoms:
         if atom.kind != "sqrt":
             zero = 1 if atom.kind == "log" else 0

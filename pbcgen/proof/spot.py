@@ -26,6 +26,7 @@ _FUNCTIONS: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
     "exp": np.exp,
     "log": np.log,
     "sqrt": np.sqrt,
+    "fabs": np.abs,
     "tanh": np.tanh,
     "atan": np.arctan,
     "asin": np.arcsin,

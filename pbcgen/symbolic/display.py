@@ -44,7 +44,8 @@ class _Printer:
             return self.field.names[k]
         if k not in self._atoms:
             atom = self.field.atoms[k]
-            self._atoms[k] = f"{atom.kind}({self.function(atom.argument)})"
+            inside = self.function(atom.argument)
+            self._atoms[k] = f"|{inside}|" if atom.kind == "fabs" else f"{atom.kind}({inside})"
         return self._atoms[k]
 
     def function(self, function: Quotient) -> str:

@@ -5,6 +5,13 @@ identities such as cos(a+b) = cos a cos b - sin a sin b or exp(2a) = exp(a)^2 ho
 sin^2 = 1 - cos^2 is a rewriting rule. Every other function gives an atom of its own, identified by its exact
 argument. A result that is the zero function here is zero; a result that is not may still be zero, because atoms are
 treated as independent: this decides identities in one direction only.
+
+fabs(a) is an atom s with ``s^2 = a^2``, and its derivative sign(a) is ``s / a``, so that ``(v |v|)' = 2 |v|``. Where
+sign was not to be read, which is the default, it is an error: a function with jumps is none of this field. Where it
+was, the caller must see that a result is continuous before using its values where a = 0: its denominator vanishes
+nowhere then, and it is the derivative there too, because a Lipschitz function whose derivative, where it has one,
+continues continuously has that derivative everywhere. With such atoms there are functions that vanish on regions, as
+v + |v| does; nothing is divided by these.
 """
 
 from __future__ import annotations
@@ -18,9 +25,10 @@ import casadi as ca
 from flint import fmpq, fmpq_mpoly, fmpq_mpoly_ctx
 
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.symbolic.moduli import vanishes_on_region
 from pbcgen.symbolic.real import fraction, rational
-from pbcgen.symbolic.tape import Matrix, Tape, exact_decimal
-from pbcgen.symbolic.terms import terms
+from pbcgen.symbolic.tape import Matrix, Tape
+from pbcgen.symbolic.to_sx import as_expression
 
 #: Multiples of an angle or exponent beyond this are kept as separate atoms instead of being expanded.
 _LARGEST_MULTIPLE = 24
@@ -130,14 +138,20 @@ class Field:
         names: the symbols.
         pool: how many atoms may appear.
         scales: for each (kind, monomial) the rational unit of which all its multiples are integers.
+        signs: whether sign(a) has a meaning.
     """
 
     title = "exact algebra"
 
     def __init__(
-        self, names: Sequence[str], pool: int = 0, scales: dict[tuple[str, str], Fraction] | None = None
+        self,
+        names: Sequence[str],
+        pool: int = 0,
+        scales: dict[tuple[str, str], Fraction] | None = None,
+        signs: bool = False,
     ) -> None:
         self.names = tuple(names)
+        self.signs = signs
         self.symbol_count = len(self.names)
         self.pool = pool
         self.scales = {} if scales is None else scales
@@ -148,6 +162,7 @@ class Field:
         self.atoms: dict[int, Atom] = {}
         self._atom_of: dict[tuple[str, str], int] = {}
         self._squares: dict[int, fmpq_mpoly] = {}
+        self.moduli: set[int] = set()
         self.divisors: dict[str, Quotient] = {}
         self.spent = 0
         self.limit: int | None = None
@@ -174,21 +189,24 @@ class Field:
 
     def quotient(self, numerator: fmpq_mpoly, denominator: fmpq_mpoly) -> Quotient:
         """The fraction in lowest terms, with the relations between atoms applied."""
-        numerator = self._reduce(numerator)
-        denominator = self._reduce(denominator)
+        numerator = self.reduced(numerator)
+        denominator = self.reduced(denominator)
         if denominator.is_zero():
             raise ZeroDivisionError("division by the zero function")
         if numerator.is_zero():
             return Quotient(self, numerator, self._one)
         if denominator.is_constant():
             return Quotient(self, numerator / denominator.leading_coefficient(), self._one)
+        if self.moduli and vanishes_on_region(self, denominator):
+            raise UnsupportedOperation("the model divides by a function that vanishes on a region")
         common = numerator.gcd(denominator)
         if not common.is_constant():
             numerator, denominator = numerator / common, denominator / common
         scale = denominator.leading_coefficient()
         return Quotient(self, numerator / scale, denominator / scale)
 
-    def _reduce(self, polynomial: fmpq_mpoly) -> fmpq_mpoly:
+    def reduced(self, polynomial: fmpq_mpoly) -> fmpq_mpoly:
+        """The polynomial with the relations between atoms applied."""
         if not self._squares:
             return polynomial
         degrees = polynomial.degrees()
@@ -323,6 +341,28 @@ class Field:
     def hypot(self, a: Quotient, b: Quotient) -> Quotient:
         return self.sqrt(a * a + b * b)
 
+    def fabs(self, a: Quotient) -> Quotient:
+        """|a|, of which positive factors that are numbers are taken out."""
+        value = a.constant()
+        if value is not None:
+            return self.const(abs(fraction(value)))
+        if not a.is_polynomial():
+            top, bottom = self.polynomial(a.numerator), self.polynomial(a.denominator)
+            return self.fabs(top) / self.fabs(bottom)
+        factor = a.numerator.leading_coefficient()
+        argument = self.polynomial(a.numerator / factor)
+        modulus = self._generic("fabs", argument, 0)
+        position = modulus.generators().pop()
+        self.moduli.add(position)
+        self._squares[position] = argument.numerator * argument.numerator
+        return modulus * self.const(abs(fraction(factor)))
+
+    def sign(self, a: Quotient) -> Quotient:
+        """|a| / a, where that is asked for."""
+        if not self.signs:
+            raise UnsupportedOperation("the operation `sign` has no meaning in exact algebra")
+        return a if a.is_zero() else self.fabs(a) / a
+
     def exp(self, a: Quotient) -> Quotient:
         result = self.const(1)
         for unit, multiple in self._multiples("exponent", a):
@@ -409,46 +449,11 @@ class Field:
             number: makes an SX of a coefficient. By default a coefficient must be a decimal of double length, because
                 CasADi would round another one; else UnsupportedOperation is raised.
         """
-        make = number or _decimal_number
-        cache: dict[int, ca.SX] = {}
-
-        def generator(k: int) -> ca.SX:
-            if k < self.symbol_count:
-                return symbols[k]
-            if k not in cache:
-                atom = self.atoms[k]
-                cache[k] = getattr(ca, atom.kind)(expression(atom.argument))
-            return cache[k]
-
-        def polynomial(p: fmpq_mpoly) -> ca.SX:
-            total = ca.SX(0)
-            for powers, coefficient in terms(p):
-                factors = [generator(k) if e == 1 else generator(k) ** e for k, e in powers]
-                value = fraction(coefficient)
-                if not factors:
-                    total = total + make(value)
-                    continue
-                product = factors[0]
-                for factor in factors[1:]:
-                    product = product * factor
-                total = total + (product if value == 1 else -product if value == -1 else make(value) * product)
-            return total
-
-        def expression(q: Quotient) -> ca.SX:
-            top = polynomial(q.numerator)
-            return top if q.is_polynomial() else top / polynomial(q.denominator)
-
-        return expression(element)
-
-
-def _decimal_number(value: Fraction) -> ca.SX:
-    if exact_decimal(float(value)) != value:
-        raise UnsupportedOperation(f"the number {value} is no decimal of double length")
-    return ca.SX(float(value))
+        return as_expression(self, element, symbols, number)
 
 
 def evaluate(
-    tape: Tape, names: Sequence[str], values: Mapping[str, Fraction] | None = None
+    tape: Tape, names: Sequence[str], values: Mapping[str, Fraction] | None = None, signs: bool = False
 ) -> tuple[Field, list[Matrix[Quotient]]]:
     """Walk a tape over exact rational functions.
 
@@ -456,12 +461,13 @@ def evaluate(
         tape: the outputs wanted; its inputs, taken together, are the symbols ``names``.
         names: one name for each input of the tape, in order.
         values: symbols to replace by exact numbers.
+        signs: whether sign(a) is read as |a| / a; the caller answers for the results being continuous.
 
     Returns:
         The field and the outputs as matrices of its elements.
 
     Raises:
-        UnsupportedOperation: for operations that are not analytic (fabs, if_else, fmin, ...).
+        UnsupportedOperation: for operations that are not algebraic or analytic (if_else, fmin, ...).
         TooLarge: when the functions grow beyond a budget of terms, which is an UnsupportedOperation too.
         ZeroDivisionError: for a division by the zero function.
     """
@@ -469,7 +475,7 @@ def evaluate(
     pool, scales, spent = 8, {}, 0  # type: int, dict[tuple[str, str], Fraction], int
     allowance = _BUDGET + _BUDGET_PER_INSTRUCTION * len(tape.instructions)
     for _ in range(200):
-        field = Field(names, pool, scales)
+        field = Field(names, pool, scales, signs)
         field.spent, field.limit = spent, allowance
         symbols = [field.const(values[n]) if n in values else field.symbol(k) for k, n in enumerate(names)]
         try:
@@ -489,10 +495,3 @@ def _split(values: Sequence[Quotient], sizes: Sequence[int]) -> list[list[Quotie
         pieces.append(list(values[start : start + size]))
         start += size
     return pieces
-
-
-#: Functions whose atoms the display and the provers know by name.
-KNOWN_KINDS: Mapping[str, Callable[..., object]] = {
-    kind: getattr(ca, kind)
-    for kind in ("sin", "cos", "exp", "log", "sqrt", "tanh", "atan", "asin", "acos", "asinh", "acosh", "atanh", "erf")
-}

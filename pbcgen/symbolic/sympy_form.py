@@ -276,7 +276,8 @@ class _Exact:
                 self._generators[k] = symbol(self.field.names[k])
             else:
                 atom = self.field.atoms[k]
-                self._generators[k] = getattr(sympy, atom.kind)(self.function(atom.argument))
+                kind = "Abs" if atom.kind == "fabs" else atom.kind
+                self._generators[k] = getattr(sympy, kind)(self.function(atom.argument))
         return self._generators[k]
 
     def function(self, function: Quotient) -> Any:

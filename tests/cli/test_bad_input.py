@@ -151,11 +151,11 @@ def test_a_storage_that_grows_through_negative_friction_says_so(generate, capsys
     assert "D=[p.d]" in printed
 
 
-def test_drag_without_a_derivative_gets_a_smooth_form(generate, capsys):
-    generate(model("D=[p.d]", "D=[ca.fabs(momentum)]"))
+def test_dry_friction_without_a_derivative_gets_a_smooth_form(generate, capsys):
+    generate(model("D=[p.d]", "D=[ca.sign(momentum) / momentum]"))
     cli.execute(["check", "plant.py"])
     printed = " ".join(capsys.readouterr().out.split())
-    assert "write sqrt(v**2 + 1e-6) for fabs(v)" in printed
+    assert "write tanh(v / 0.01) for sign(v)" in printed
     assert printed.count("not reached") <= 1
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import REAL, ZERO, Real, rational
 
-#: Operations that are analytic where they are defined, so that every interpretation has them.
+#: Operations that are analytic where they are defined, and the modulus, so that every interpretation has them.
 ANALYTIC_UNARY = {
     "neg": lambda a: -a,
     "twice": lambda a: 2 * a,
@@ -23,6 +23,7 @@ ANALYTIC_UNARY = {
     "log": ca.log,
     "log1p": ca.log1p,
     "sqrt": ca.sqrt,
+    "fabs": ca.fabs,
     "sin": ca.sin,
     "cos": ca.cos,
     "tan": ca.tan,
@@ -49,7 +50,6 @@ ANALYTIC_BINARY = {
     "hypot": ca.hypot,
 }
 OTHER_UNARY = {
-    "fabs": ca.fabs,
     "sign": ca.sign,
     "floor": ca.floor,
     "ceil": ca.ceil,
