@@ -22,7 +22,6 @@ from pbcgen.control.closed_loop import ClosedLoop
 from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.hyperbolic import default_tanh
 from pbcgen.control.law import ControlLaw
-from pbcgen.control.sampled import Sampling
 from pbcgen.control.solves import with_tanh
 from pbcgen.control.stability import LYAPUNOV
 from pbcgen.emit import Extras, Package, Provenance, render
@@ -147,11 +146,14 @@ def for_all_parameters(report: Report) -> tuple[Claim, ...]:
     return decide(report.derivation)
 
 
-def check(design: Design, progress: Progress = None, sampling: Sampling | None = None) -> Report:
-    """Derive and decide everything that can be said of the design. Raises ModelError for an inconsistent model."""
+def check(design: Design, progress: Progress = None, scan: bool = False) -> Report:
+    """Derive and decide everything that can be said of the design. Raises ModelError for an inconsistent model.
+
+    With ``scan`` the range of stable sample periods is proved to its end, however long that takes.
+    """
     start = perf_counter()
     try:
-        derivation = derive(design, progress, sampling)
+        derivation = derive(design, progress, scan)
     except ModelError as error:
         raise located(error, design.call, design.system.call) from error.__cause__
     timings = {**derivation.timings, "total": perf_counter() - start}
@@ -218,6 +220,8 @@ def package(
         tuple((c.claim, str(c.status), c.domain) for c in report.claims),
         allowed,
         derived=report.derived,
+        delay=report.design.delay,
+        jitter=report.design.jitter,
     )
     return render(report.control, provenance, prefix, {"certificate.json": certificate(report)}, figures, extras)
 
@@ -357,5 +361,7 @@ def simulate(design: Design, *, allow: Sequence[str] = (), progress: Progress = 
     if progress:
         progress("sampled closed loop")
     with Controller.of_package(rendered) as controller:
-        sampled = simulate_sampled(report.loop, controller, design.sample_period, report.loop.duration)
+        sampled = simulate_sampled(
+            report.loop, controller, design.sample_period, report.loop.duration, delay=design.delay
+        )
     return Simulation(continuous, sampled, report.control.intervals, report)

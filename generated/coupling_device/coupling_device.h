@@ -12,6 +12,8 @@
  * Outputs, always in these intervals:
  *   u  V  [-5, 5]  actuator
  *
+ * Timing in the verdicts: outputs act at once, periods do not vary.
+ *
  * Verdicts on the model (in exact or certified arithmetic; the C rounds):
  *   input-rank                      PROVED     all x
  *   equilibrium                     PROVED     at x*

@@ -14,6 +14,8 @@
  *   u2  N m  [-4.5696, 4.5696]  actuator
  *   u3  N m  [-3.3, 3.3]        actuator
  *
+ * Timing in the verdicts: outputs act at once, periods do not vary.
+ *
  * Verdicts on the model (in exact or certified arithmetic; the C rounds):
  *   input-rank                      PROVED  all x
  *   equilibrium                     PROVED  at x*

@@ -10,6 +10,8 @@
  * Outputs, always in these intervals:
  *   u  V  [3.003, 3.1]  actuator
  *
+ * Timing in the verdicts: outputs act at once, periods do not vary.
+ *
  * Verdicts on the model (in exact or certified arithmetic; the C rounds):
  *   input-rank                      PROVED  all x
  *   equilibrium                     PROVED  at x*

@@ -23,11 +23,11 @@ def register(app: typer.Typer) -> None:
         ] = False,
         delay: Annotated[
             str | None,
-            typer.Option(metavar="SAMPLES", help="Delay of the input: 0 to 2, such as 1 or 0.5.", show_default=False),
+            typer.Option(metavar="SAMPLES", help="In place of the design's delay: 0 to 2.", show_default=False),
         ] = None,
         jitter: Annotated[
             str | None,
-            typer.Option(metavar="SHARE", help="The period varies by this share: 0.1.", show_default=False),
+            typer.Option(metavar="SHARE", help="In place of the design's jitter: 0.1.", show_default=False),
         ] = None,
         for_all_parameters: Annotated[
             bool,
@@ -54,13 +54,11 @@ def run(
     """
     from pbcgen import pipeline
     from pbcgen.cli.verdicts import show_report
-    from pbcgen.control.sampled import Sampling
-    from pbcgen.models.exact import exact
     from pbcgen.models.loader import load
 
     with progress("load") as tell:
-        sampling = Sampling(exact(delay or 0, "--delay"), exact(jitter or 0, "--jitter"), scan)
-        report = pipeline.check(load(model), progress=tell, sampling=sampling)
+        asked = {name: value for name, value in {"delay": delay, "jitter": jitter}.items() if value is not None}
+        report = pipeline.check(load(model).with_(**asked), progress=tell, scan=scan)
         wide = pipeline.for_all_parameters(report) if every else None
     more = {} if wide is None else {"for_all_parameters": [claim.as_json() for claim in wide]}
     return Outcome(

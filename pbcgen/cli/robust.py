@@ -57,7 +57,9 @@ def register(app: typer.Typer) -> None:
         dead_zone: Annotated[
             list[str] | None, typer.Option(metavar="INPUT=D", help="Dead zone of an actuator.", show_default=False)
         ] = None,
-        delay: Annotated[float, typer.Option(help="Of the input, in samples: 0 to 2.")] = 0.0,
+        delay: Annotated[
+            float | None, typer.Option(help="Of the input, in samples, in place of the design's.", show_default=False)
+        ] = None,
         share: Annotated[float, typer.Option(help="Noise, friction, dead zones and delay vary by this share.")] = 0.0,
         tolerance: Annotated[float, typer.Option(help="A run converges if it ends within this share.")] = 0.05,
         duration: Annotated[
@@ -154,6 +156,7 @@ def run(
         ToolchainError: the C does not compile.
     """
     from pbcgen import pipeline
+    from pbcgen.cli.verdicts import too_short
     from pbcgen.run.robust import loops_of, robust
 
     if plot is not None and (plot.suffix.lower() not in _PICTURES or not plot.parent.is_dir()):
@@ -181,7 +184,8 @@ def run(
     name = design.name or "controller"
     worst = _worst_case(found, design)
     document = _document(name, found, worst) if json else None
-    return Outcome(lambda console: _show(console, name, found, worst, output, plot), document)
+    remarks = too_short(report, loops.steps * loops.h) if found.share < 1 else []
+    return Outcome(lambda console: _show(console, name, found, worst, [*remarks, *_files(output, plot)]), document)
 
 
 @contextlib.contextmanager
@@ -263,9 +267,13 @@ def _settling(found: Robustness) -> str:
     return f"settling time (2 %): median {middle:.4g} s, worst {max(settled):.4g} s{open_runs}"
 
 
-def _show(
-    console: Console, name: str, found: Robustness, worst: dict[str, Any], output: Path | None, plot: Path | None
-) -> None:
+def _files(output: Path | None, plot: Path | None) -> list[str]:
+    return [f"{what}: {path}" for path, what in ((output, "Results"), (plot, "Picture")) if path is not None]
+
+
+def _show(console: Console, name: str, found: Robustness, worst: dict[str, Any], remarks: Sequence[str]) -> None:
+    from rich.padding import Padding
+
     console.print(f"{name}: {100 * found.share:.4g} % of {len(found.outcomes)} runs converge", style="bold")
     console.print(f"(within {100 * found.tolerance:g} % of the initial error; seed {found.loops.seed})\n")
     for k, target in enumerate(found.target_names):
@@ -277,7 +285,6 @@ def _show(
     )
     if worst["parameters"]:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in worst["parameters"].items())
-        console.print(f"  with {values}")
-    for path, what in ((output, "Results"), (plot, "Picture")):
-        if path is not None:
-            console.print(f"{what}: {path}", soft_wrap=True)
+        console.print(Padding(f"with {values}", (0, 0, 0, 2)))
+    for remark in remarks:
+        console.print(remark, soft_wrap=remark.startswith(("Results", "Picture")), highlight=False)

@@ -172,19 +172,14 @@ def _late(simulation: Simulation) -> list[tuple[str, float]]:
 
 def _remarks(simulation: Simulation) -> list[str]:
     """What the table does not show: whether x* is reached, and how long that takes."""
+    from pbcgen.cli.verdicts import too_short
+
     report, late = simulation.report, _late(simulation)
-    length, abscissa = float(simulation.sampled.times[-1]), report.derived["spectral_abscissa"]
-    slow = abscissa is not None and abscissa < 0 and -1 / abscissa > length / 2
     lines = []
     if late:
         states = ", ".join(f"{name} by {100 * share:.2g} %" for name, share in late)
         lines.append(f"x* is not reached at the end: {states} of the largest distance.")
-    if slow and (late or -1 / abscissa > length):
-        seconds = f"{float(f'{-5 / abscissa:.2g}'):g}"
-        lines.append(
-            f"The slowest mode has a time constant of {-1 / abscissa:.3g} s: add --duration {seconds}, or duration="
-            f"{seconds} to the design, to see it settle."
-        )
+    lines += too_short(report, float(simulation.sampled.times[-1]), share=2 if late else 1)
     return lines or [f"x* is reached: every state ends within {100 * _ARRIVED:g} % of its largest distance."]
 
 
@@ -195,7 +190,7 @@ def _show(console: Console, simulation: Simulation, plot: Path | None) -> None:
     )
     console.print(_table(["state", "start", "target", "end", "end, continuous law"], _states(simulation)))
     console.print()
-    console.print(_table(["input", "smallest", "largest", "end", "always in", "limits"], _inputs(simulation)))
+    console.print(_table(["input", "smallest", "largest", "end", "always in", "limits"], _with_rows(simulation)))
     for row in _rows(simulation):
         console.print(f"{row['limit']}: at most {row['largest']:.5g}, limit {row['bound']:.5g}", highlight=False)
     console.print()
@@ -203,6 +198,16 @@ def _show(console: Console, simulation: Simulation, plot: Path | None) -> None:
         console.print(line, highlight=False)
     console.print()
     console.print(f"Picture: {plot}" if plot else "Next: add --plot loop.png for a picture", soft_wrap=True)
+
+
+def _with_rows(simulation: Simulation) -> list[dict[str, Any]]:
+    """The inputs; those without limits of their own that share a limit with others are sent to the rows below."""
+    shared = [any(column) for column in zip(*simulation.report.design.input_set.A, strict=True)]
+    inputs = _inputs(simulation)
+    for signal, below in zip(inputs, shared or [False] * len(inputs), strict=True):
+        if below and signal["limits"] == [None, None]:
+            signal["limits"] = "see below"
+    return inputs
 
 
 def _table(headers: list[str], signals: list[dict[str, Any]]) -> Table:
@@ -218,8 +223,10 @@ def _table(headers: list[str], signals: list[dict[str, Any]]) -> Table:
     return table
 
 
-def _figure(value: float | list[float | None] | None) -> str:
+def _figure(value: float | str | list[float | None] | None) -> str:
     match value:
+        case str():
+            return value
         case None:
             return ""
         case [None, None]:

@@ -172,5 +172,20 @@ def next_steps(report: Report, model: str) -> list[str]:
     return lines
 
 
+def too_short(report: Report, length: float, share: float = 2) -> list[str]:
+    """A remark if a run of so many seconds ends within ``1 / share`` time constants of the slowest mode."""
+    abscissa = report.derived["spectral_abscissa"]
+    if abscissa is None or abscissa >= 0 or -share / abscissa <= length:
+        return []
+    seconds = f"{float(f'{-5 / abscissa:.2g}'):g}"
+    return [
+        f"The slowest mode has a time constant of {-1 / abscissa:.3g} s: add --duration {seconds}, or duration="
+        f"{seconds} to the design, to see it settle."
+    ]
+
+
 def _seconds(report: Report) -> str:
-    return f"{float(report.design.sample_period):g} s, {report.design.precision}"
+    design = report.design
+    late = f", delay {float(design.delay):g} h" if design.delay else ""
+    varied = f", jitter {100 * float(design.jitter):g} %" if design.jitter else ""
+    return f"{float(design.sample_period):g} s{late}{varied}, {design.precision}"

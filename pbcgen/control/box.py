@@ -87,7 +87,7 @@ def box_claim(
     graph: LawGraph,
     design: Design,
     moving: TargetMap | NotExplicit | None,
-    sampling: Sampling | None = None,
+    sampling: Sampling,
 ) -> BoxVerdict:
     """Decide the claim for the settings of a design."""
     settings = graph.settings
@@ -99,7 +99,7 @@ def box_claim(
         return BoxVerdict(
             Claim("adjustable", Status.REFUTED, domain, "elimination", moving.reason, moving.hint, counterexample), None
         )
-    box = _Box(situation, graph, design, settings, sampling or Sampling())
+    box = _Box(situation, graph, design, settings, sampling)
     if not box.agrees():
         why, hint = "the explicit equilibrium is not the one that was proved for the declared target", "mend the target"
         return BoxVerdict(Claim("adjustable", Status.UNDECIDED, domain, _METHOD, why, hint), None)

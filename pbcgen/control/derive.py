@@ -129,7 +129,7 @@ class _Stages:
         self.claims.setdefault(name, Claim(name, Status.UNDECIDED, "at x*", NOT_REACHED, why, hint))
 
 
-def derive(design: Design, progress: Progress = None, sampling: Sampling | None = None) -> Derivation:
+def derive(design: Design, progress: Progress = None, scan: bool = False) -> Derivation:
     """Run every stage as far as the earlier ones allow.
 
     Raises ModelError for designs that no verdict can describe, such as potential compensation without G = I.
@@ -169,7 +169,7 @@ def derive(design: Design, progress: Progress = None, sampling: Sampling | None 
     at_target = None
     if equilibrium.point is not None:
         at_target = _AtTarget(plant, design, law, equilibrium.point, output, storage, bounds)
-        at_target.sampling = sampling
+        at_target.sampling = Sampling(design.delay, design.jitter, scan)
         numbers |= stages.run("at the target", lambda: at_target.decide(stages))
     numbers |= _bounds_as_numbers(bounds, theta_verdict)
     _fill(stages, design, law, equilibrium, output, at_target.obstacle if at_target else None)
@@ -278,7 +278,7 @@ class _AtTarget:
         self.plant, self.design, self.law, self.point = plant, design, law, point
         self.output, self.storage, self.bounds = output, storage, bounds
         self.eta = bounds.eta if bounds is not None else None
-        self.sampling: Sampling | None = None
+        self.sampling = Sampling()
         self.graph: LawGraph | None = None
         self.interface: Interface | None = None
         self.situation: Situation | None = None

@@ -78,11 +78,12 @@ class Figures:
 
 
 class Spectrum:
-    """Eigenvalues of many loops around one plant, with 40 digits."""
+    """Eigenvalues of many loops around one plant, with 40 digits; the sampled ones with the delay of the input."""
 
     _BITS = 140
 
-    def __init__(self, A: RealMatrix) -> None:
+    def __init__(self, A: RealMatrix, delay: Fraction = Fraction(0)) -> None:
+        self._delay = delay
         with precision(self._BITS):
             self._plant = Basis(complex_matrix(A, len(A), len(A)))
 
@@ -90,10 +91,11 @@ class Spectrum:
         """The figures at h, the radius also at ``margin`` times h; None where they could not be computed."""
         with precision(self._BITS):
             try:
-                transition = Transition(loop, plant=self._plant)
+                transition = Transition(loop, self._delay, self._plant)
                 values = _eigenvalues(transition, h)
                 longer = [] if margin == 1 else _eigenvalues(transition, h * margin)
-                slow = near_eigenvalues(midpoints(transition.jet(arb(0)).c1))
+                at_once = Transition(loop, plant=self._plant) if self._delay else transition
+                slow = near_eigenvalues(midpoints(at_once.jet(arb(0)).c1))
             except (ValueError, ZeroDivisionError):
                 return None
             radius = max(float(v.abs_upper()) for v in [*values, *longer])
@@ -110,7 +112,7 @@ class Spectrum:
         """How far the spectral radius at h is beyond one, ``radius - 1``; None where it could not be computed."""
         with precision(self._BITS):
             try:
-                values = _eigenvalues(Transition(loop, plant=self._plant), h)
+                values = _eigenvalues(Transition(loop, self._delay, self._plant), h)
             except (ValueError, ZeroDivisionError):
                 return None
             return max(float((v.abs_upper() - 1).mid()) for v in values)

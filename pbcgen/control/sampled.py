@@ -22,7 +22,6 @@ from pbcgen.control.lyapunov_period import LyapunovPeriods, lyapunov_periods
 from pbcgen.control.scan import Scan, scan
 from pbcgen.control.situation import Situation
 from pbcgen.control.transition import LinearLoop
-from pbcgen.errors import ModelError
 from pbcgen.models.laws import Law
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.spectrum import Stability, hurwitz
@@ -47,23 +46,17 @@ _LYAPUNOV = "storage at the samples, Loewner order over the rationals"
 
 @dataclass(frozen=True)
 class Sampling:
-    """How the firmware samples, beside its period, and how much to prove of it.
+    """How the firmware samples, beside its period, and how much to prove of it; see :class:`Design`.
 
     Attributes:
-        delay: from measurement to actuation, in samples: 0 to 2, whole or not.
-        jitter: the periods vary within ``h (1 - jitter)`` and ``h (1 + jitter)`` from step to step.
+        delay: from measurement to actuation, in samples.
+        jitter: the share of h by which periods vary.
         scan: prove the range of all stable periods to its end, however many cells it takes.
     """
 
     delay: Fraction = Fraction(0)
     jitter: Fraction = Fraction(0)
     scan: bool = False
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.delay <= 2:
-            raise ModelError(f"the delay is {float(self.delay):g} samples: 0 to 2 samples were expected")
-        if not 0 <= self.jitter < 1:
-            raise ModelError(f"the jitter is {float(self.jitter):g}: a share of the sample period below 1 was expected")
 
 
 @dataclass(frozen=True)

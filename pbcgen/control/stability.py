@@ -43,7 +43,7 @@ def lyapunov_premises(law: Law) -> tuple[str, ...]:
     return (*filtered, "assumption-3", "theta") if isinstance(law, NaturalDamping) else filtered
 
 
-def stability(situation: Situation, h: Fraction, sampling: Sampling | None = None) -> StabilityVerdicts:
+def stability(situation: Situation, h: Fraction, sampling: Sampling) -> StabilityVerdicts:
     """Decide `stable`, `asymptotically-stable`, `globally-asymptotically-stable` and `sampled-stable`."""
     law, found = situation.law, situation.found
     premises = lyapunov_premises(law)
@@ -59,7 +59,7 @@ def stability(situation: Situation, h: Fraction, sampling: Sampling | None = Non
         spared,
         asymptotic,
         overall,
-        sampling or Sampling(),
+        sampling,
     )
     if by_lyapunov:
         evidence = "follows from " + ", ".join(premises)

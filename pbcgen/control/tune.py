@@ -24,7 +24,6 @@ from pbcgen.control.gain_search import Judge, best_rounded, distinct, gentler, l
 from pbcgen.control.gain_space import rebuilt, totals
 from pbcgen.control.linearisation import spectral
 from pbcgen.control.region import Region, certified_region
-from pbcgen.control.sampled import Sampling
 from pbcgen.control.stability import LYAPUNOV
 from pbcgen.control.trial import Response, entries, is_diagonal
 from pbcgen.control.tuning_problem import PUSH, Problem, Route, Wish, shaped, theta_bound, unmet
@@ -176,7 +175,7 @@ def _attempt(problem: Problem, route: Route, before: Response, seeds: Sequence[L
             continue
         if progress:
             progress(f"prove, {route}")
-        derived = derive(problem.design.with_(law=rounded, gain_ranges=None), None, Sampling())
+        derived = derive(problem.design.with_(law=rounded, gain_ranges=None))
         failed = _failed(problem, route, derived)
         if failed is None:
             return _described(problem, route, rounded, derived, floor)

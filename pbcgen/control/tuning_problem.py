@@ -134,7 +134,7 @@ class Problem:
         storage = assumption_1(plant)
         compensated = isinstance(base_law(law), PotentialCompensation)
         trial = Trial(plant, point, found.gamma, found.eta, design, law)
-        spectrum = Spectrum(family.A)
+        spectrum = Spectrum(family.A, design.delay)
         shape = shape_at(plant, point, found.gamma, compensated)
         structure = storage.structure if storage.proved else None
         length = found.loop.duration if found.loop is not None else until_settled(None, design.sample_period)

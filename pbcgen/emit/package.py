@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from dataclasses import asdict, dataclass, field
+from fractions import Fraction
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Final
 
@@ -41,6 +42,8 @@ class Provenance:
         allowed: the claims that were let pass without proof.
         notes: sentences that the user must read.
         derived: JSON-able facts (kappa, gamma as text, ...).
+        delay: from measurement to actuation in the verdicts, in sample periods.
+        jitter: the share by which periods vary in the verdicts.
     """
 
     model_hash: str
@@ -48,6 +51,8 @@ class Provenance:
     allowed: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     derived: Mapping[str, Any] = field(default_factory=dict)
+    delay: Fraction = Fraction(0)
+    jitter: Fraction = Fraction(0)
 
 
 @dataclass(frozen=True)
@@ -204,6 +209,8 @@ def header_text(law: ControlLaw, provenance: Provenance, program: Program) -> li
             (m.c_name, m.signal.unit, wording.interval(m.interval), m.signal.description) for m in program.outputs
         ),
         "",
+        *wording.wrap(f"Timing in the verdicts: {wording.timing(provenance.delay, provenance.jitter)}."),
+        "",
         "Verdicts on the model (in exact or certified arithmetic; the C rounds):",
         *wording.table(provenance.verdicts),
     ]
@@ -232,6 +239,8 @@ def _manifest(
         "law": law.law,
         "precision": law.precision,
         "sample_period": {"exact": str(law.sample_period), "seconds": float(law.sample_period)},
+        "delay": {"exact": str(provenance.delay), "samples": float(provenance.delay)},
+        "jitter": {"exact": str(provenance.jitter), "share": float(provenance.jitter)},
         "model_hash": provenance.model_hash,
         "inputs": [_signal(m) | {"range": _bounds(m.range)} for m in program.inputs],
         "outputs": [

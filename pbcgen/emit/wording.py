@@ -97,6 +97,16 @@ def number(value: Fraction) -> str:
     return fraction if len(fraction) <= 12 else f"about {float(value):.9g}"
 
 
+def timing(delay: Fraction, jitter: Fraction) -> str:
+    """What the verdicts on the sampled loop assume of the firmware.
+
+    >>> timing(Fraction(0), Fraction(0)), timing(Fraction(1, 2), Fraction(1, 20))
+    ('outputs act at once, periods do not vary', 'outputs act 0.5 periods late, periods vary by up to 5 %')
+    """
+    late = f"outputs act {number(delay)} period{'s' * (delay != 1)} late" if delay else "outputs act at once"
+    return f"{late}, periods {f'vary by up to {number(100 * jitter)} %' if jitter else 'do not vary'}"
+
+
 def value(literal: str) -> str:
     """A C literal as a number in prose.
 

@@ -72,6 +72,8 @@ class Design:
         law: the control law with its gains, as given; ``law.resolve(m, s)`` has full shapes.
         limits: actuator limits, or None.
         sample_period: h in seconds, exact.
+        delay: from the measurement to the moment when the output acts, in sample periods: 0 to 2, whole or not.
+        jitter: the periods vary within ``h (1 - jitter)`` and ``h (1 + jitter)`` from step to step; below 1.
         precision: the arithmetic of the generated code.
         name: how files and reports call the design; None until the loader fills it in.
         near: approximate values by state name that choose among several completions of the target.
@@ -89,6 +91,8 @@ class Design:
     law: Law
     limits: Limits | None
     sample_period: Fraction
+    delay: Fraction
+    jitter: Fraction
     precision: Precision
     name: str | None
     near: Mapping[str, Fraction]
@@ -107,6 +111,8 @@ class Design:
         *,
         limits: Limits | None = None,
         sample_period: Number,
+        delay: Number = 0,
+        jitter: Number = 0,
         precision: Precision = "float",
         name: str | None = None,
         near: Mapping[str, Number] | None = None,
@@ -124,6 +130,8 @@ class Design:
             law: one of the laws.
             limits: actuator limits.
             sample_period: h in seconds, positive.
+            delay: of the output, in sample periods, 0 to 2; the sampled loop is proved with it.
+            jitter: the share of h by which periods vary; the sampled loop is proved for all sequences of them.
             precision: "float" or "double".
             name: how files and reports call the design.
             near: approximate values by state name.
@@ -152,6 +160,8 @@ class Design:
             "law": law,
             "limits": limits,
             "sample_period": positive(sample_period, "the sample period"),
+            "delay": _delay(delay),
+            "jitter": _jitter(jitter),
             "precision": precision,
             "name": name,
             "near": MappingProxyType(_by_state(near or {}, lowered, "near")),
@@ -178,6 +188,8 @@ class Design:
             "law": self.law,
             "limits": self.limits,
             "sample_period": self.sample_period,
+            "delay": self.delay,
+            "jitter": self.jitter,
             "precision": self.precision,
             "name": self.name,
             "near": self.near,
@@ -194,6 +206,20 @@ class Design:
         if not called_by_user():
             object.__setattr__(changed, "call", self.call)
         return changed
+
+
+def _delay(given: Number) -> Fraction:
+    delay = exact(given, "the delay")
+    if not 0 <= delay <= 2:
+        raise ModelError(f"the delay is {float(delay):g} samples: 0 to 2 samples were expected")
+    return delay
+
+
+def _jitter(given: Number) -> Fraction:
+    jitter = exact(given, "the jitter")
+    if not 0 <= jitter < 1:
+        raise ModelError(f"the jitter is {float(jitter):g}: a share of the sample period below 1 was expected")
+    return jitter
 
 
 def _check_law(law: object, system: AffineSystem) -> None:

@@ -49,6 +49,10 @@ def _lines(design: Design) -> Iterator[str]:
         yield from (f"adjustable gain {name} {i + 1} {r.lo} {r.hi}" for i, r in enumerate(ranges))
     yield from _limits(design)
     yield f"sample period {design.sample_period}"
+    if design.delay:
+        yield f"delay {design.delay}"
+    if design.jitter:
+        yield f"jitter {design.jitter}"
     yield f"precision {design.precision}"
 
 

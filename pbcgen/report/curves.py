@@ -86,7 +86,7 @@ def simulate(
         progress("sampled closed loop")
     try:
         with _controller(law, package) as (stepper, source):
-            sampled = simulate_sampled(loop, stepper, report.design.sample_period, duration)
+            sampled = simulate_sampled(loop, stepper, report.design.sample_period, duration, delay=report.design.delay)
     except SimulationError as error:
         remarks.append(f"The sampled loop could not be simulated: {error}.")
     times = sampled.times if sampled is not None else np.linspace(0.0, duration, _INSTANTS)

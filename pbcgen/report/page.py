@@ -19,6 +19,7 @@ import pbcgen
 from pbcgen.control.attraction import Region
 from pbcgen.emit import Package
 from pbcgen.emit.templating import template_directory
+from pbcgen.emit.wording import timing
 from pbcgen.models.exact import decimal
 from pbcgen.models.laws import gains
 from pbcgen.pipeline import Report, certificate
@@ -163,6 +164,7 @@ def _context(
         "counterexamples": {c.claim: counterexample(c) for c in report.claims if c.counterexample},
         "counts": {status: sum(c.status is status for c in report.claims) for status in Status},
         "period": decimal(design.sample_period),
+        "timing": timing(design.delay, design.jitter),
         "parameters": [(name, _parameter(value)) for name, value in system.parameters.values.items()],
         "model_formulas": model_formulas(report.derivation.plant),
         "steps": steps(report.derivation),

@@ -89,7 +89,9 @@ def sampled_step(d: Derivation) -> Step:
         h = h.replace("< 1", r"\ge 1")
     formulas.append(Formula("Spectral radius of the sampled loop (zero-order hold)", h))
     if largest:
-        formulas.append(Formula("Largest stable sample period (estimate)", rf"{number(float(largest), 4)}\ \text{{s}}"))
+        known = (d.derived.get("sample_periods") or {}).get("spectral_scan_complete")
+        what = "Linearised, it is stable for every period up to" if known else "Largest stable sample period (estimate)"
+        formulas.append(Formula(what, rf"{number(float(largest), 4)}\ \text{{s}}"))
     formulas += list(_sampled_bound(d))
     return Step(
         "sampled",

@@ -62,7 +62,7 @@ class Disturbances:
             second, against the derivative of the storage by it. stiction: breakaway friction likewise, at least that;
             stribeck: the speed over which it falls to the Coulomb level.
         dead_zone: half width by input name: the actuator gives u less this, and nothing within.
-        delay: of the input in samples, 0 to 2.
+        delay: of the input in samples, 0 to 2; None for the design's.
         share: friction, stiction, dead zones, noise and delay vary by this share from run to run.
     """
 
@@ -75,7 +75,7 @@ class Disturbances:
     stiction: Mapping[str, float] = field(default_factory=dict)
     stribeck: float = 0.0
     dead_zone: Mapping[str, float] = field(default_factory=dict)
-    delay: float = 0.0
+    delay: float | None = None
     share: float = 0.0
 
 
@@ -161,6 +161,7 @@ def loops_of(
         ToolchainError: the C does not compile.
     """
     given = disturbances or Disturbances()
+    delay = float(design.delay) if given.delay is None else given.delay
     _check(design, given)
     interface = Interface.of_manifest(package.files["manifest.json"])
     frictions = tuple(dict.fromkeys([*given.friction, *given.stiction]))
@@ -176,14 +177,14 @@ def loops_of(
         len(design.system.parameters),
         len(design.target.conditions),
         len(frictions),
-        tuple(_varied(design, given, frictions)),
+        tuple(_varied(design, given, frictions, delay)),
         float(design.sample_period),
         steps,
         substeps or 1,
         0.02,
         seed,
     )
-    return made if substeps else _fine_enough(made, 4 if given.delay % 1 else 1)
+    return made if substeps else _fine_enough(made, 4 if delay % 1 else 1)
 
 
 def _fine_enough(loops: Loops, least: int) -> Loops:
@@ -211,7 +212,7 @@ def _without_noise(loops: Loops) -> tuple[Scale, ...]:
     return tuple(Scale(0.0) if k in silent else scale for k, scale in enumerate(loops.varied))
 
 
-def _varied(design: Design, given: Disturbances, frictions: Sequence[str]) -> list[Scale]:
+def _varied(design: Design, given: Disturbances, frictions: Sequence[str], delay: float) -> list[Scale]:
     """What each entry of a case is drawn from, in the order of case_t."""
     system = design.system
     share = given.share
@@ -227,7 +228,7 @@ def _varied(design: Design, given: Disturbances, frictions: Sequence[str]) -> li
         varied += [Scale(level, share) for level in levels] or [Scale(0.0)]
     varied += [Scale(given.stribeck) for _ in frictions] or [Scale(0.0)]
     varied += [Scale(given.dead_zone.get(name, 0.0), share) for name in system.input_names]
-    return [*varied, Scale(min(given.delay, 2.0), share if given.delay * (1 + share) <= 2 else 0.0)]
+    return [*varied, Scale(delay, share if delay * (1 + share) <= 2 else 0.0)]
 
 
 def _check(design: Design, given: Disturbances) -> None:
@@ -246,7 +247,7 @@ def _check(design: Design, given: Disturbances) -> None:
                 raise ModelError(f"the {kind} of `{name}`: {suggestion(name, names)}")
             if not (math.isfinite(value) and value >= 0):
                 raise ModelError(f"the {kind} of `{name}` is {value}: a number of at least 0 was expected")
-    if not 0 <= given.delay <= 2:
+    if given.delay is not None and not 0 <= given.delay <= 2:
         raise ModelError(f"the delay is {given.delay:g} samples: 0 to 2 were expected")
     for kind in ("spread", "initial", "share"):
         if not 0 <= getattr(given, kind) < 1:

@@ -51,7 +51,7 @@ class Trajectory:
         times: (N,) in seconds.
         x: plant states (N, n). xi: controller states (N, nxi). u: inputs of the plant (N, m). In a sampled
             trajectory row k holds the controller state and the output after the step at ``times[k]``; that
-            output acts until ``times[k+1]``.
+            output acts until ``times[k+1]``, or with a delay so much later.
         state_names: one name for each column.
         controller_states: likewise.
         input_names: likewise.
@@ -155,6 +155,7 @@ def simulate_sampled(
     duration: float,
     tolerance: Tolerance | None = None,
     *,
+    delay: Fraction = Fraction(0),
     progress: Callable[[float], None] | None = None,
 ) -> Trajectory:
     """The closed loop as firmware runs it: measure, step the controller, hold u for the sample period h.
@@ -168,6 +169,7 @@ def simulate_sampled(
         h: sample period in seconds.
         duration: in seconds; the last sample is at the last multiple of h within it.
         tolerance: of CVODES.
+        delay: of the output, in sample periods; the plant's input is the equilibrium's before the first one acts.
         progress: called now and then with the share of the run that is done.
 
     Returns:
@@ -183,9 +185,25 @@ def simulate_sampled(
     nx, nu = len(loop.initial), len(loop.u_star)
     z, u = ca.SX.sym("x", nx), ca.SX.sym("u", nu)
     scales = _scales(loop, count * float(period))[:nx]
-    hold = _Flow(
-        z, u, loop.plant(z, u), scales=scales, grid=np.array([float(period)]), tolerance=tolerance or Tolerance()
-    )
+    whole, part = divmod(delay, 1)
+    # The output of `whole + 1` steps ago acts until the later one takes over.
+    shares = [(int(whole) + 1, part), (int(whole), 1 - part)]
+    holds = [
+        (
+            ago,
+            float(share * period),
+            _Flow(
+                z,
+                u,
+                loop.plant(z, u),
+                scales=scales,
+                grid=np.array([float(share * period)]),
+                tolerance=tolerance or Tolerance(),
+            ),
+        )
+        for ago, share in shares
+        if share
+    ]
     controller.reset()
     xs = np.zeros((count + 1, nx))
     us = np.zeros((count + 1, nu))
@@ -195,7 +213,10 @@ def simulate_sampled(
         us[k] = controller.advance(np.asarray(loop.measure(xs[k]), dtype=float).ravel())
         xis[k] = controller.xi[: xis.shape[1]]
         if k < count:
-            xs[k + 1] = hold.follow(xs[k], us[k], k * float(period))[:, 0]
+            xs[k + 1], time = xs[k], k * float(period)
+            for ago, length, hold in holds:
+                xs[k + 1] = hold.follow(xs[k + 1], us[k - ago] if k >= ago else loop.u_star, time)[:, 0]
+                time += length
         if progress is not None and k % 100 == 0:
             progress(k / max(count, 1))
     return _trajectory(loop, np.array([float(k * period) for k in range(count + 1)]), xs, xis, us)

@@ -178,6 +178,7 @@ class Stability(Assumptions):
 
     def _decreases(self) -> None:
         """What a period h consumes leaves damping: ``Lambda - h C / 2 > 0`` for y, or Theta > 0 with that."""
+        require("delay" not in self.model.words, "the storage argument is for inputs that act at once")
         self.lyapunov()
         claim, h, gains, damped = "sampled-stable", self.period, self.model.gains, "natural-damping" in self.law
         rates = (self.rate("eta") if damped else []) + self.rate("gamma")

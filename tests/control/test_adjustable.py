@@ -11,7 +11,6 @@ import pytest
 from pbcgen import AffineSystem, Design, DynamicExtension, Limits, NaturalDamping, pipeline
 from pbcgen.control.cells import Loops
 from pbcgen.control.linearisation import period_matrix
-from pbcgen.control.sampled import Sampling
 from pbcgen.control.step import ReferenceStep
 from pbcgen.control.transition import Transition
 from pbcgen.errors import ModelError, NotProved
@@ -222,8 +221,7 @@ def _middle(matrix) -> np.ndarray:
 
 
 def _adjustable_with(design: Design, **sampling):
-    given = Sampling(**{name: Fraction(value) for name, value in sampling.items()})
-    return next(c for c in pipeline.check(design, sampling=given).claims if c.claim == "adjustable")
+    return next(c for c in pipeline.check(design.with_(**sampling)).claims if c.claim == "adjustable")
 
 
 def test_delay_and_jitter_are_part_of_the_claim() -> None:
@@ -240,7 +238,7 @@ def test_a_delay_that_makes_some_setting_unstable_refutes_the_claim() -> None:
     late = _adjustable_with(steep, delay="2")
     assert late.status is Status.REFUTED
     own = RLC.with_(law=DynamicExtension(RLC.law.alpha, late.counterexample["beta"], RLC.law.K_c, RLC.law.R_c))
-    claims = {c.claim: c.status for c in pipeline.check(own, sampling=Sampling(delay=Fraction(2))).claims}
+    claims = {c.claim: c.status for c in pipeline.check(own.with_(delay=2)).claims}
     assert claims["sampled-stable"] is not Status.PROVED
 
 

@@ -15,7 +15,6 @@ from pbcgen.control.closed_loop import until_settled
 from pbcgen.control.derive import derive
 from pbcgen.control.gain_change import scaled
 from pbcgen.control.linearisation import examine, spectral
-from pbcgen.control.sampled import Sampling
 from pbcgen.control.situation import Situation
 from pbcgen.pipeline import check
 from pbcgen.proof.claim import Status
@@ -127,7 +126,7 @@ def chain(n: int, sample_period: str) -> Design:
 @pytest.mark.parametrize("delay", [0, 1])
 def test_a_refusal_of_a_large_loop_names_a_proved_period_and_gain_change(delay: int) -> None:
     design = chain(13, "0.1")
-    found = derive(design, None, Sampling(delay=Fraction(delay)))
+    found = derive(design.with_(delay=delay))
     assert found.situation is not None
     loop, family = found.situation.loop, found.situation.family
     claim = {c.claim: c for c in found.claims}["sampled-stable"]

@@ -13,7 +13,7 @@ from pbcgen.control.family import LoopFamily
 from pbcgen.control.gain_change import gain_change, scaled
 from pbcgen.control.jitter import jitter
 from pbcgen.control.linearisation import Spectrum, delayed_matrix, period_matrix, spectral
-from pbcgen.control.sampled import Sampling, radius_text
+from pbcgen.control.sampled import radius_text
 from pbcgen.control.scan import scan
 from pbcgen.control.transition import LinearLoop, Transition
 from pbcgen.control.trial import Trial
@@ -56,8 +56,8 @@ def two_masses(K_c, R_c, damping=(2, 3)):
     )
 
 
-def claims(design, sampling=None):
-    return {c.claim: c for c in derive(design, None, sampling).claims}
+def claims(design):
+    return {c.claim: c for c in derive(design).claims}
 
 
 def figures(design):
@@ -269,7 +269,7 @@ def test_jitter_has_a_common_storage(rlc):
 
 @pytest.mark.system
 def test_half_a_period_of_jitter_on_the_coupling_device():
-    claim = claims(load("coupling_device"), Sampling(jitter=Fraction(1, 2)))["sampled-stable"]
+    claim = claims(load("coupling_device").with_(jitter="0.5"))["sampled-stable"]
     assert claim.status is Status.PROVED
     assert "one quadratic storage serves all h in [0.0005, 0.0015] s" in claim.evidence
 
@@ -289,15 +289,15 @@ def test_the_storage_of_jitter_decreases_along_random_periods():
 
 
 def test_too_much_jitter_is_refused_with_what_is_proved():
-    claim = claims(load("rlc").with_(sample_period="3e-4"), Sampling(jitter=Fraction(1, 2)))["sampled-stable"]
+    claim = claims(load("rlc").with_(sample_period="3e-4", jitter="0.5"))["sampled-stable"]
     assert claim.status is Status.UNDECIDED
     assert "keep the periods within" in claim.hint
 
 
 def test_options_of_sampling_are_checked():
-    for wrong in ({"delay": Fraction(3)}, {"jitter": Fraction(1)}):
+    for wrong in ({"delay": 3}, {"delay": -1}, {"jitter": 1}, {"jitter": "-0.1"}):
         with pytest.raises(ModelError, match=r"(was|were) expected"):
-            Sampling(**wrong)
+            load("rlc").with_(**wrong)
 
 
 @pytest.mark.system

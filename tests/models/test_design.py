@@ -146,6 +146,8 @@ def test_the_text_lists_expressions_and_exact_values():
         {"target": {"x": "0.2"}},
         {"target": {"force": "0.1"}},
         {"sample_period": "2e-3"},
+        {"delay": "0.5"},
+        {"jitter": "0.1"},
         {"precision": "double"},
         {"law": DynamicExtension(1, 2, 3, 5)},
         {"law": PassiveOutput(1, 2, 3)},

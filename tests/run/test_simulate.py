@@ -162,3 +162,11 @@ def test_the_default_duration_covers_the_slowest_mode():
     assert until_settled(-100.0, Fraction(1, 10**6)) == pytest.approx(0.05)
     assert until_settled(-1e-9, Fraction(1, 1000)) == 200, "no more than 200 000 samples"
     assert until_settled(None, Fraction(1, 10)) == until_settled(0.5, Fraction(1, 10)) == 10
+
+
+@pytest.mark.parametrize(("delay", "late"), [("0", 0.0), ("1/4", 0.25), ("1", 1.0), ("7/4", 1.75)])
+def test_a_delayed_output_acts_so_much_later(delay: str, late: float) -> None:
+    """x' = u with u = 1 from the first sample on: x is the time since the output acts."""
+    x, u = ca.SX.sym("x"), ca.SX.sym("u")
+    run = simulate_sampled(scalar_loop(u, x, u, 0.0), Constant(1.0), Fraction(1), 4.0, delay=Fraction(delay))
+    np.testing.assert_allclose(run.x[:, 0], np.maximum(np.arange(5.0) - late, 0), atol=1e-9)

@@ -5,6 +5,7 @@ import json
 import re
 
 import casadi as ca
+import numpy as np
 import pytest
 from certificates import (
     IDLE,
@@ -22,7 +23,10 @@ from pbcgen import Design, DynamicExtension, Limits, Mechanical
 from pbcgen.control.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.models.identity import canonical_text
+from pbcgen.models.loader import load
 from pbcgen.symbolic.plain.formulas import Malformed
+from pbcgen.symbolic.real import approximate
+from pbcgen.verify.stability import Stability
 
 #: Claims that the checker has a check for.
 COVERED = {
@@ -257,3 +261,31 @@ def test_a_second_rest_outside_of_the_domain_refutes_nothing():
 
 def _place(lines, instruction):
     return next(line.split()[0] for line in lines if line.endswith(instruction))
+
+
+@pytest.mark.parametrize(("delay", "status"), [("1/2", "PROVED"), (1, "PROVED"), ("3/2", "REFUTED"), (2, "REFUTED")])
+def test_a_delayed_loop_is_checked_again(delay, status):
+    document = json.loads(json.dumps(certificate(derive(load("rlc").with_(delay=delay)))))
+    assert {c["claim"]: c["status"] for c in document["claims"]}["sampled-stable"] == status
+    assert outcomes(document)["sampled-stable"] == "checked"
+
+
+def test_a_delay_that_the_certificate_leaves_out_or_adds_is_seen():
+    """The loop is stable without a delay, and not with two samples."""
+    late = json.loads(json.dumps(certificate(derive(load("rlc").with_(delay=2)))))
+    assert outcomes(forged(late, load("rlc")))["sampled-stable"] == "checked"
+    assert outcomes(forged(certificate_of("rlc"), load("rlc").with_(delay=2)))["sampled-stable"] == "fails"
+
+
+def test_periods_that_vary_are_recorded_and_not_checked():
+    varied = json.loads(json.dumps(certificate(derive(load("rlc").with_(jitter="1/20")))))
+    assert outcomes(varied)["sampled-stable"] == "recorded"
+
+
+@pytest.mark.parametrize("delay", ["1/2", 1, "3/2"])
+def test_the_transition_of_a_delayed_loop_is_the_one_that_was_decided(delay):
+    design = load("coupling_device").with_(delay=delay, sample_period="0.05")
+    found = derive(design)
+    system = Stability(json.loads(json.dumps(certificate(found))), 16)
+    radius = max(abs(np.linalg.eigvals(np.array([[approximate(v) for v in row] for row in system.sampled]))))
+    assert radius == pytest.approx(found.derived["spectral_radius"], rel=1e-9)
