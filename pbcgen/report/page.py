@@ -22,6 +22,7 @@ from pbcgen.emit.templating import template_directory
 from pbcgen.emit.wording import timing
 from pbcgen.models.exact import decimal
 from pbcgen.models.laws import gains
+from pbcgen.models.limits import row_text
 from pbcgen.pipeline import Report, certificate
 from pbcgen.proof.claim import EMISSION_CLAIMS, Claim, Status
 from pbcgen.report.curves import Curves, signal_figures, simulate
@@ -165,6 +166,10 @@ def _context(
         "counts": {status: sum(c.status is status for c in report.claims) for status in Status},
         "period": decimal(design.sample_period),
         "timing": timing(design.delay, design.jitter),
+        "shared_limits": [
+            f"{row_text(row, system.input_names)} ≤ {decimal(bound)}"
+            for row, bound in zip(design.input_set.A, design.input_set.b, strict=True)
+        ],
         "parameters": [(name, _parameter(value)) for name, value in system.parameters.values.items()],
         "model_formulas": model_formulas(report.derivation.plant),
         "steps": steps(report.derivation),

@@ -72,7 +72,7 @@ def _signals(report: Report, curves: Curves, columns: _Columns) -> Iterator[dict
     for panel in panels(shown.x, loop.state_names, loop.state_units, targets, held=False):
         yield _panel(panel, curves, columns, "x", "target")
     for panel in panels(shown.u, loop.input_names, loop.input_units, limits, held=True):
-        yield _panel(panel, curves, columns, "u", "limit")
+        yield _panel(panel, curves, columns, "u", "bound")
 
 
 def _panel(panel: Panel, curves: Curves, columns: _Columns, field: str, level: str) -> dict[str, Any]:
@@ -89,7 +89,8 @@ def _panel(panel: Panel, curves: Curves, columns: _Columns, field: str, level: s
         for value in levels:
             if value not in drawn:
                 drawn.add(value)
-                label = f"{level} {value:.6g}" if len(panel.names) == 1 else f"{level} of {name}: {value:.6g}"
+                own = any(value not in others for others in panel.levels)
+                label = f"{level} of {name}: {value:.6g}" if own else f"{level} {value:.6g}"
                 series.append({"label": label, "style": level, "colour": colour, "y": value})
     names = ", ".join(panel.names)
     return {
@@ -159,8 +160,8 @@ def _portraits(report: Report, curves: Curves, columns: _Columns, region: Region
             "series": series,
             "region": outline,
             "target": [float(loop.x_star[i]), float(loop.x_star[j])],
-            "x_range": _range([*(x[:, i] for x in runs), *(np.array(line[0]) for line in outline)]),
-            "y_range": _range([*(x[:, j] for x in runs), *(np.array(line[1]) for line in outline)]),
+            "x_range": _range([loop.x_star[[i]], *(x[:, i] for x in runs), *(np.array(line[0]) for line in outline)]),
+            "y_range": _range([loop.x_star[[j]], *(x[:, j] for x in runs), *(np.array(line[1]) for line in outline)]),
             "alt": alt + (", inside the shaded region of attraction." if outline else "."),
         }
 

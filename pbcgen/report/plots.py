@@ -55,8 +55,8 @@ _SCALE_RATIO = 20.0
 _LEVEL_COLOUR = "#606060"
 _LIMIT_COLOUR = "#b00020"
 
-#: Limits beyond so many times the law's interval are not drawn.
-_FAR = 3.0
+#: Limits that are farther from the law's interval than so many times its width are not drawn.
+_FAR = 1.0
 _LINES_PER_PANEL = 4
 _METADATA: dict[str, dict[str, None]] = {
     ".png": {"Software": None},
@@ -228,8 +228,10 @@ def _draw(axes: Axes, panel: Panel, continuous: tuple[Array, Array], sampled: tu
 
 def _draw_limits(axes: Axes, panel: Panel) -> None:
     """What the actuators can do, dotted; limits far beyond the law's interval would flatten the curves."""
-    near = max((abs(v) for levels in panel.levels for v in levels), default=0.0) * _FAR
-    for limit in sorted({v for limits in panel.limits for v in limits if abs(v) <= near}):
+    inside = [v for levels in panel.levels for v in levels] or [0.0]
+    room = _FAR * (max(inside) - min(inside))
+    near = {v for limits in panel.limits for v in limits if min(inside) - room <= v <= max(inside) + room}
+    for limit in sorted(near):
         axes.axhline(limit, color=_LIMIT_COLOUR, linewidth=1.8, linestyle=":", zorder=2)
 
 

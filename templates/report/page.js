@@ -36,11 +36,11 @@
   [...data.panels, ...data.portraits].forEach((p) => p.series.forEach((s) => { s.x = column(s.x); s.y = column(s.y); }));
 
   /* ---- how each kind of curve is drawn ---- */
-  const DASH = { target: [7, 4], limit: [2, 4], dash: [9, 5] };
-  const pen = (s) => (s.style === "target" || s.style === "limit") && s.shared ? colour("--level") : colour(`--c${s.colour % 4}`);
+  const DASH = { target: [7, 4], bound: [2, 4], dash: [9, 5] };
+  const pen = (s) => (s.style === "target" || s.style === "bound") && s.shared ? colour("--level") : colour(`--c${s.colour % 4}`);
   const faded = (css) => { const n = parseInt(css.slice(1), 16); return `rgba(${n >> 16},${(n >> 8) & 255},${n & 255},0.32)`; };
   const stroke = (s) => () => s.style === "band" ? faded(pen(s)) : pen(s);
-  const width = (s) => s.style === "band" ? 6 : s.style === "limit" ? 2 : 1.6;
+  const width = (s) => s.style === "band" ? 6 : s.style === "bound" ? 2 : 1.6;
   const short = (v) => v === null || v === undefined ? "–" : Number(v.toPrecision(5)).toString().replace("-", "−");
   const pixels = () => Math.max(2, window.devicePixelRatio || 1);
 
@@ -106,7 +106,7 @@
       ...size(element), pxRatio: pixels(),
       scales: { x: { time: false }, ...(panel.kind === "energy" ? { y: { distr: 3 } } : {}) },
       series: [{}, ...panel.series.map((s) => ({
-        label: s.label, stroke: stroke(s), width: width(s), dash: DASH[s.style], points: { show: false }, cap: "round",
+        label: s.label, stroke: stroke(s), width: width(s), dash: DASH[s.style], points: { show: false }, cap: "round", pxAlign: 0,
         paths: s.style === "step" ? uPlot.paths.stepped({ align: 1 }) : undefined, spanGaps: false,
       }))],
       axes: [axis("time [s]", { values: ticks, size: 30 }), axis(undefined, { values: ticks, size: 62, ...(panel.kind === "energy" ? { splits: powers, values: (u, vs) => vs.map((v) => v === null ? "" : v.toExponential(0).replace("-", "−")) } : {}) })],

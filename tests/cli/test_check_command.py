@@ -18,7 +18,7 @@ def check(monkeypatch, capsys):
 
     def _check(*arguments, width=80, **verdicts):
         monkeypatch.setenv("COLUMNS", str(width))
-        monkeypatch.setattr(pipeline, "check", lambda design, progress, sampling: fake_report.report(**verdicts))
+        monkeypatch.setattr(pipeline, "check", lambda design, progress, scan: fake_report.report(**verdicts))
         code = cli.execute(["check", "rlc", *arguments])
         return code, capsys.readouterr().out
 
@@ -139,7 +139,7 @@ def test_brackets_in_evidence_are_no_markup(check):
 
 
 def test_what_libraries_print_does_not_reach_the_document(monkeypatch, capsys):
-    def noisy(design, progress, sampling):
+    def noisy(design, progress, scan):
         print("a warning from a library")
         return fake_report.report()
 

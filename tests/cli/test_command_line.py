@@ -101,7 +101,7 @@ def test_an_error_with_json_is_a_document_too(execute):
     [(errors.ModelError("m"), 1), (errors.NotProved("m"), 2), (errors.ToolchainError("m"), 3)],
 )
 def test_each_kind_of_error_has_its_exit_code(execute, monkeypatch, error, code):
-    def failing(design, progress, sampling):
+    def failing(design, progress, scan):
         raise error
 
     monkeypatch.setattr(pipeline, "check", failing)
@@ -109,7 +109,7 @@ def test_each_kind_of_error_has_its_exit_code(execute, monkeypatch, error, code)
 
 
 def test_a_defect_asks_for_a_report_and_shows_its_traceback_only_when_asked(execute, monkeypatch):
-    def failing(design, progress, sampling):
+    def failing(design, progress, scan):
         raise RuntimeError("[bold]what?")
 
     monkeypatch.setattr(pipeline, "check", failing)
