@@ -242,13 +242,11 @@ def _formulas(plant: Plant, output: PassiveOutputResult | None, eta: ca.SX | Non
         if expression is None or expression.numel() == 0:
             continue
         try:
-            field, (values,) = plant.exact(expression, symbolic=True)
+            field, (values,) = plant.exact(expression, symbolic=True, known=plant.numbers)
         except (UnsupportedOperation, ZeroDivisionError):
             result[name] = [str(e) for e in ca.vertsplit(expression)]
             continue
-        result[name] = [
-            formula(v, plant.parameter_positions(), plant.number_positions()) for v in values.column(field.const(0))
-        ]
+        result[name] = [formula(v, plant.parameter_positions()) for v in values.column(field.const(0))]
     return result
 
 

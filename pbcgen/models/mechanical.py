@@ -74,7 +74,8 @@ class Mechanical:
             V: potential energy, scalar function of q.
             G: input matrix, n x m function of q, of full column rank.
             M: inertia matrix, n x n function of q; a list of n entries is its diagonal; a list of pairs (J_i, W_i) is
-                ``sum J_i^T W_i J_i``, with J_i of n columns and W_i > 0 (or a number, for a multiple of I).
+                ``sum J_i^T W_i J_i``, with J_i of n columns and W_i > 0 (a list is its diagonal, a number a multiple
+                of I).
             M_inv: its inverse. One of the two is enough.
             D: damping, n x n diagonal function of (q, p), or the list of its diagonal; none if not given.
             parameters: the constants that occur.
@@ -201,7 +202,7 @@ def _factors(M: Any, n: int) -> Factors:
         weight = expression(W, f"the weight W_{k} of M")
         size = jacobian.shape[0]
         weight = weight * ca.SX.eye(size) if weight.is_scalar() else weight
-        factors.append((ca.sparsify(jacobian), ca.sparsify(shaped(weight, (size, size), f"the weight W_{k} of M"))))
+        factors.append((ca.sparsify(jacobian), ca.sparsify(square(weight, size, f"the weight W_{k} of M"))))
     return tuple(factors)
 
 

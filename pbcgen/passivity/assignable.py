@@ -136,7 +136,7 @@ def assignable_set(plant: Plant) -> list[str]:
 def _annihilated(plant: Plant, drift: ca.SX, inputs: ca.SX) -> list[str]:
     """The equations of the drift that no input enters, as text."""
     try:
-        field, (f, g) = plant.exact(drift, inputs, symbolic=True)
+        field, (f, g) = plant.exact(drift, inputs, symbolic=True, known=plant.numbers)
         zero = field.const(0)
         rest, rows = f.column(zero), g.dense(zero)
         solved = reduce_rows([dict(enumerate(column)) for column in zip(*rows, strict=True)])
@@ -147,7 +147,7 @@ def _annihilated(plant: Plant, drift: ca.SX, inputs: ca.SX) -> list[str]:
                 if free in row:
                     total = total - row[free] * rest[int(str(pivot))]
             if not total.is_zero():
-                text = formula(field.polynomial(total.numerator), plant.parameter_positions(), plant.number_positions())
+                text = formula(field.polynomial(total.numerator), plant.parameter_positions())
                 equations.append(f"{text} = 0")
     except (UnsupportedOperation, ZeroDivisionError):
         return []

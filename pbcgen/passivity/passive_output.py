@@ -452,6 +452,8 @@ def _none(plant: Plant, tried: list[str], obstacles: list[_Obstacle], forced: st
     evidence = "no gamma found; tried " + ("; ".join(tried) if tried else "every strategy")
     given = plant.system.gamma is not None
     hint = "leave gamma out to have it derived" if given else "give gamma=... with the model, or use another input"
+    if forced and not given:
+        hint = f"take a storage whose loss is zero at x* (such as the integrals of all flows), {hint}"
     if obstacles:
         first = obstacles[0]
         names = plant.system.state_names

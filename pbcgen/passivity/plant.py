@@ -198,10 +198,10 @@ class Plant:
         count = self.system.n + self.system.m
         return frozenset(range(count, count + len(self.system.parameters.names)))
 
-    def number_positions(self) -> dict[int, Fraction]:
-        """Positions among :attr:`names` of the parameters that stand for numbers, and these numbers."""
-        parameters, count = self.system.parameters, self.system.n + self.system.m
-        return {count + k: parameters.values[name] for k, name in enumerate(parameters) if name in parameters.numbers}
+    @property
+    def numbers(self) -> dict[str, Fraction]:
+        """The values of the parameters that stand for numbers in the model's expressions: formulas show these."""
+        return {name: self.values[name] for name in self.system.parameters.numbers}
 
     def at(self, point: Point, *outputs: ca.SX) -> list[list[list[Real]]]:
         """The outputs at a point as dense matrices of exact numbers or balls."""

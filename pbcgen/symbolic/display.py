@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from fractions import Fraction
 
 from flint import fmpq, fmpq_mpoly
@@ -19,27 +19,20 @@ def number(value: Fraction, digits: int = 12) -> str:
     return f"{value.numerator}/{value.denominator}" if value.denominator < 10**4 else shown
 
 
-def formula(function: Quotient, parameters: Iterable[int] = (), numbers: Mapping[int, Fraction] | None = None) -> str:
-    """The function as text in the names of its field.
-
-    Symbols in ``parameters`` form the coefficients; those in ``numbers`` are shown as these positive values.
-    """
-    return _Printer(function.field, frozenset(parameters), numbers or {}).function(function)
+def formula(function: Quotient, parameters: Iterable[int] = ()) -> str:
+    """The function as text in the names of its field; symbols in ``parameters`` form the coefficients."""
+    return _Printer(function.field, frozenset(parameters)).function(function)
 
 
 class _Printer:
     """Prints the functions of one field."""
 
-    def __init__(self, field: Field, parameters: frozenset[int], numbers: Mapping[int, Fraction]) -> None:
+    def __init__(self, field: Field, parameters: frozenset[int]) -> None:
         self.field = field
-        self.numbers = numbers
         self.parameters = parameters | {k for k, a in field.atoms.items() if a.argument.symbols() <= parameters}
         self._atoms: dict[int, str] = {}
 
     def generator(self, k: int) -> str:
-        if k in self.numbers:
-            text = number(self.numbers[k])
-            return f"({text})" if "/" in text else text
         if k < self.field.symbol_count:
             return self.field.names[k]
         if k not in self._atoms:

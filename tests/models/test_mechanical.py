@@ -194,3 +194,14 @@ def test_numbers_in_the_inertia_stay_exact(M):
     claims = {claim.claim: claim for claim in check(design).claims}
     assert claims["assumption-1"].status == "PROVED"
     assert claims["passive-output"].status == "PROVED"
+
+
+def test_the_weights_of_an_inertia_by_factors_are_diagonals_where_they_are_lists():
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    lever = ca.vertcat(ca.horzcat(ca.cos(q[0]), 0), ca.horzcat(1, 1))
+    given = ([P.m1, P.m2], ca.diag(ca.vertcat(P.m1, P.m2)))
+    first, second = (Mechanical(q, p, M=[(lever, W), (np.eye(2), 1)], V=0, G=[1, 0], parameters=P) for W in given)
+    difference = ca.Function("d", [q, p, P.symbols], [first.system.S - second.system.S])
+    assert abs(float(difference([0.3, 0.7], [0.2, -0.5], [2, 1.5, 1, 0.8, 9.81, 0.1]))) < 1e-12
+    with pytest.raises(ModelError, match="the weight W_1 of M must be 2x2, it is 3x1"):
+        Mechanical(q, p, M=[(lever, [1, 2, 3]), (np.eye(2), 1)], V=0, G=[1, 0], parameters=P)

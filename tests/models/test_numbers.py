@@ -5,7 +5,7 @@ from fractions import Fraction
 import casadi as ca
 import pytest
 
-from pbcgen import AffineSystem, Circuit, Mechanical, Parameters
+from pbcgen import AffineSystem, Circuit, Design, DynamicExtension, Mechanical, Parameters, check
 from pbcgen.models.numbers import as_written, named_numbers
 
 
@@ -78,3 +78,12 @@ def test_every_front_end_names_its_numbers():
     i, v = ca.SX.sym("i"), ca.SX.sym("v")
     circuit = Circuit([i], [v], L=[1.25], C=[0.1], Gamma=[[0.9]], v_R=[0.3 * i], i_G=[v / 20], g_L=[-1])
     assert {"L_1_1", "C_1_1", "Gamma_1", "v_R_1"} <= {*circuit.system.parameters}
+
+
+def test_a_formula_shows_the_value_of_numbers_that_cancel():
+    """S has 2/3 x^(3/2), and its slope 3/3 x^(1/2) in the symbols that keep the numbers."""
+    x, u = ca.SX.sym("x"), ca.SX.sym("u")
+    S = 2 * (x**2 + 1) ** 1.5 / 3
+    system = AffineSystem([x], [u], [-2 * x * ca.sqrt(x**2 + 1)], [2], S)
+    report = check(Design(system, {"x": 1}, DynamicExtension(1, 1, 1, 1), sample_period="1e-3"))
+    assert report.derived["gamma"] == ["2*x"]
