@@ -12,6 +12,7 @@ import typer
 from pbcgen.cli import options
 from pbcgen.cli.outcome import Outcome
 from pbcgen.cli.terminal import console as make_console
+from pbcgen.cli.terminal import indented
 from pbcgen.errors import ModelError
 
 if TYPE_CHECKING:
@@ -272,8 +273,6 @@ def _files(output: Path | None, plot: Path | None) -> list[str]:
 
 
 def _show(console: Console, name: str, found: Robustness, worst: dict[str, Any], remarks: Sequence[str]) -> None:
-    from rich.padding import Padding
-
     console.print(f"{name}: {100 * found.share:.4g} % of {len(found.outcomes)} runs converge", style="bold")
     console.print(f"(within {100 * found.tolerance:g} % of the initial error; seed {found.loops.seed})\n")
     for k, target in enumerate(found.target_names):
@@ -285,6 +284,6 @@ def _show(console: Console, name: str, found: Robustness, worst: dict[str, Any],
     )
     if worst["parameters"]:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in worst["parameters"].items())
-        console.print(Padding(f"with {values}", (0, 0, 0, 2)))
+        indented(console, f"with {values}")
     for remark in remarks:
         console.print(remark, soft_wrap=remark.startswith(("Results", "Picture")), highlight=False)

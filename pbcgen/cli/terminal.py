@@ -88,6 +88,13 @@ def console(*, stderr: bool = False) -> Console:
     return made
 
 
+def indented(target: Console, text: str) -> None:
+    """Print text two columns in, on as many lines as it takes."""
+    from rich.padding import Padding
+
+    target.print(Padding(text, (0, 0, 0, 2)), highlight=False)
+
+
 @contextlib.contextmanager
 def progress(stage: str) -> Iterator[Callable[[str], None]]:
     """A spinner with the name of the stage, on a terminal and after the first second.

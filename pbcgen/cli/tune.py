@@ -9,7 +9,7 @@ import typer
 
 from pbcgen.cli import options
 from pbcgen.cli.outcome import Outcome
-from pbcgen.cli.terminal import progress
+from pbcgen.cli.terminal import indented, progress
 from pbcgen.errors import EmitError, ModelError, NotProved
 
 if TYPE_CHECKING:
@@ -187,15 +187,14 @@ def _show(console: Console, tuning: Tuning, output: Path | None, plot: Path | No
         mark = "chosen" if attempt is tuning.chosen else "not chosen" if attempt.law is not None else "no gains"
         console.print(f"\nroute {attempt.route} ({mark})", style="bold")
         if attempt.response is not None and attempt.abscissa is not None:
-            line = f"  {_figures(attempt.response)}, spectral abscissa {attempt.abscissa:.4g} 1/s"
-            console.print(line, soft_wrap=True)
+            indented(console, f"{_figures(attempt.response)}, spectral abscissa {attempt.abscissa:.4g} 1/s")
         if attempt is not tuning.chosen and attempt.law is not None and attempt.law == tuning.chosen.law:
-            console.print("  the same gains as on the route that was chosen")
+            indented(console, "the same gains as on the route that was chosen")
             continue
         for line in attempt.active:
-            console.print(f"  active: {line}", soft_wrap=True)
+            indented(console, f"active: {line}")
         for line in attempt.notes:
-            console.print(f"  {line}", soft_wrap=True)
+            indented(console, line)
     console.print()
     for line in tuning.chosen.unmet:
         console.print(f"NOT MET: {line}", style="bold red", soft_wrap=True)
@@ -215,4 +214,5 @@ def _show(console: Console, tuning: Tuning, output: Path | None, plot: Path | No
 
 def _figures(found: Any) -> str:
     settled = f"settles in {found.settling:.4g} s" if found.settling < float("inf") else "does not settle"
-    return f"{settled}, overshoot {100 * found.overshoot:.3g} %, final error {100 * found.final:.2g} %"
+    left = 100 * found.final if found.final > 1e-8 else 0.0
+    return f"{settled}, overshoot {100 * found.overshoot:.3g} %, final error {left:.2g} %"
