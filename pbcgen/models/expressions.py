@@ -152,7 +152,10 @@ def check_finite(value: ca.SX, what: str) -> None:
     for row, col in zip(*value.sparsity().get_triplet(), strict=True):
         if not _is_finite(value[row, col]):
             where = what if value.numel() == 1 else f"entry ({row + 1}, {col + 1}) of {what}"
-            raise ModelError(f"{where} contains a constant that is not a finite number (NaN or a division by zero)")
+            raise ModelError(
+                f"{where} contains a constant that is not a finite number: a division by zero, or a function that is "
+                "not CasADi's (math.sin in place of ca.sin)"
+            )
 
 
 def _is_finite(value: ca.SX) -> bool:

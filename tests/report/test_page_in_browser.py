@@ -151,6 +151,8 @@ def test_the_colours_can_be_switched(visit):
 def test_nothing_is_wider_than_the_screen(visit, width):
     tab = visit(viewport={"width": width, "height": 800})
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
+    rows = "[...document.querySelectorAll('.stacked tr')].map(r => r.getBoundingClientRect().height)"
+    assert max(tab.evaluate(rows)) < 200, "a column so narrow that its words stand letter below letter"
 
 
 def test_the_print_layout_is_a4_and_breaks_no_table(visit):
