@@ -18,8 +18,10 @@ from pbcgen.models.limits import row_text
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.region import Region, search
 from pbcgen.proof.boxes import Box
+from pbcgen.proof.branch import Budget
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.extrema import maximum, term_bounds
+from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import BITS, Real, midpoint, precision, rational, sign, text
 
@@ -27,6 +29,8 @@ from pbcgen.symbolic.real import BITS, Real, midpoint, precision, rational, sign
 _PI = Fraction(355, 113)
 #: The bounds of grad V are not closer than that, relative to the limit.
 _UNSEEN = 1e-6
+#: Boxes for each limit that a force may touch.
+_BOXES = 2000
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,8 @@ def saturation(
         )
         claim = _compare(plant, design, ranges, centres, sizes)
     if claim.status is Status.UNDECIDED:
-        claim = _exceeded(plant, design, ranges, sizes, claim) or claim
+        kept = _respected(plant, design, ranges, sizes, claim)
+        claim = kept or _exceeded(plant, design, ranges, sizes, claim) or claim
     return Saturation(claim, ranges)
 
 
@@ -257,6 +262,43 @@ def _exceeded(
     return None
 
 
+def _respected(
+    plant: Plant, design: Design, ranges: Sequence[Range | None], sizes: Sequence[Fraction], claim: Claim
+) -> Claim | None:
+    """PROVED where the limits that the bounds leave open are kept as functions of the positions, or None.
+
+    ``b - a^T u_c - sum |a_i| alpha_i >= 0`` is decided as it stands, so that the force may touch the limit exactly.
+    """
+    force, region = compensated_force(plant.system, design.law), Region.stated(plant)
+    known = [found for found in ranges if found is not None]
+    if force is None or len(known) < len(ranges):
+        return None
+    names, kept = plant.system.input_names, []
+    for row, bound in design.input_set.rows():
+        if sign(rational(bound) - _largest(row, known)) in (0, 1):
+            continue
+        pull = sum((abs(a) * size for a, size in zip(row, sizes, strict=True)), Fraction(0))
+        held = ca.dot(ca.vertcat(*map(plant.number, row)), force)
+        try:
+            field, (values,) = plant.exact(plant.number(bound - pull) - held)
+            slack = values.scalar(field.const(0))
+            certain = nonnegative(slack) or region.prover(Budget(_BOXES)).nonnegative(slack)
+        except (UnsupportedOperation, ZeroDivisionError):
+            return None
+        if not certain:
+            return None
+        kept.append(f"{row_text(row, names)} <= {text(rational(bound))}")
+    shown = ", ".join(f"{n} in [{text(r.lo, 9)}, {text(r.hi, 9)}]" for n, r in zip(names, known, strict=True))
+    return replace(
+        claim,
+        status=Status.PROVED,
+        method="interval arithmetic over the rationals, and signs of exact functions of the positions",
+        evidence=f"{shown}; {', '.join(kept)} as a function of the positions{_beyond_domain(plant, design)}",
+        hint="",
+        counterexample=None,
+    )
+
+
 def _excess(row: Sequence[Fraction], bound: Fraction, ranges: Sequence[Range | None]) -> float:
     """By how much ``row u`` may be beyond a bound; infinite where an input has no range."""
     total = -float(bound)
@@ -296,13 +338,18 @@ def _row_slacks(design: Design, names: Sequence[str], ranges: Sequence[Range]) -
     """Polyhedral limits: the largest ``A u`` over the box of input ranges against b."""
     result: list[_Slack] = []
     for row, bound in zip(design.input_set.A, design.input_set.b, strict=True):
-        largest: Real = rational(0)
-        for a, found in zip(row, ranges, strict=True):
-            if a != 0:
-                largest = largest + rational(a) * (found.hi if a > 0 else found.lo)
-        slack = rational(bound) - largest
+        slack = rational(bound) - _largest(row, ranges)
         result.append((f"{row_text(row, names)} <= {text(rational(bound))}", _sign_of_slack(slack), -slack))
     return result
+
+
+def _largest(row: Sequence[Fraction], ranges: Sequence[Range]) -> Real:
+    """The largest ``row u`` over the box of input ranges."""
+    largest: Real = rational(0)
+    for a, found in zip(row, ranges, strict=True):
+        if a != 0:
+            largest = largest + rational(a) * (found.hi if a > 0 else found.lo)
+    return largest
 
 
 def _least_slack(slacks: Sequence[_Slack]) -> str:

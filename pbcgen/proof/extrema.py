@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from pbcgen.proof.boxes import Box, halves
+from pbcgen.proof.harmonics import harmonic_bounds
 from pbcgen.proof.known import BOUNDED_KINDS
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import Real, enclose, fraction, is_finite, lower, rational, upper
@@ -22,9 +23,17 @@ class Bounds:
 
 
 def term_bounds(function: Quotient, symbols: Mapping[int, tuple[Fraction | None, Fraction | None]]) -> Bounds:
-    """Bounds from the sum over terms, each a coefficient times bounded atoms and bounded symbols; exact rationals."""
+    """Bounds from the sum over terms, each a coefficient times bounded atoms and bounded symbols; exact rationals.
+
+    Of a polynomial in sines and cosines alone the bounds by its harmonics, if these are closer.
+    """
     if not function.is_polynomial():
         return Bounds(None, None)
+    several = len(function.numerator) > 1 or function.numerator.total_degree() > 1
+    series = harmonic_bounds(function) if several else None
+    if series is not None:
+        mean, reach = series
+        return Bounds(mean - reach, mean + reach)
     lo, hi = Fraction(0), Fraction(0)
     for exponents, coefficient in function.numerator.to_dict().items():
         size = abs(fraction(coefficient))

@@ -64,6 +64,68 @@ def test_a_limit_is_refuted_with_positions_at_which_it_is_exceeded(limit, status
         assert math.sin(q) + math.sin(2 * q) + 1 > float(limit)
 
 
+@pytest.mark.parametrize(
+    ("V", "limit"),
+    [
+        (lambda q: 3 * ca.sin(q) + 4 * ca.cos(q), 6),  # one harmonic, with the amplitude 5
+        (lambda q: ca.sin(q) + ca.sin(3 * q) / 3, 3),  # two that are largest together
+        (lambda q: ca.sin(q) ** 2, 2),  # sin 2q
+    ],
+)
+def test_a_force_that_touches_its_limit_respects_it(V, limit):
+    claim, interval = _pendulum(V, limit)
+    assert claim.status is Status.PROVED
+    assert interval == [-limit, limit]
+    tighter = Fraction(limit) * Fraction(999_999_999, 10**9)
+    assert _pendulum(V, tighter)[0].status is not Status.PROVED
+
+
+def test_a_limit_that_is_touched_where_harmonics_oppose_each_other():
+    """cos q + cos 2q = 2 (cos q + 1/4)^2 - 9/8: less than the amplitudes allow."""
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    arm = Mechanical([q], [p], M=[1], V=ca.sin(q) + ca.sin(2 * q) / 2, D=[1], G=[1], inputs=["u"])
+    law = PotentialCompensation(alpha=1, beta=1, K_c=1, R_c=1)
+
+    def status(lowest):
+        limits = Limits({"u": (lowest, 3)})
+        design = Design(arm, {"q": 0}, law, limits=limits, sample_period="1e-3")
+        return next(c.status for c in derive(design).claims if c.claim == "saturation")
+
+    assert status("-2.125") is Status.PROVED
+    assert status("-2.12499999999") is not Status.PROVED
+
+
+def test_joints_that_share_their_load_touch_the_sum_of_their_amplitudes():
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    V = 4 * ca.sin(q[0]) + 3 * ca.sin(q[0] + q[1])
+    arm = Mechanical(q, p, M=ca.SX.eye(2), V=V, D=[1, 1], G=ca.SX.eye(2))
+    law = PotentialCompensation(alpha=[2, 1], beta=1, K_c=1, R_c=1)
+
+    def status(first, second):
+        limits = Limits([(-first, first), (-second, second)])
+        design = Design(arm, {"q_0": 0, "q_1": 0}, law, limits=limits, sample_period="1e-3")
+        return next(c.status for c in derive(design).claims if c.claim == "saturation")
+
+    assert status(9, 4) is Status.PROVED
+    assert status(Fraction("8.9999999999"), 4) is not Status.PROVED
+    assert status(9, Fraction("3.9999999999")) is not Status.PROVED
+
+
+def test_a_slope_that_touches_the_limit_inside_of_the_domain():
+    """1 - q^2 on [-1, 1] is largest at 0 and least at both ends."""
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    arm = Mechanical([q], [p], M=[1], V=q - q**3 / 3, D=[1], G=[1], inputs=["u"], domain={"q": (-1, 1)})
+    law = PotentialCompensation(alpha=1, beta=1, K_c=1, R_c=1)
+
+    def status(lo, hi):
+        design = Design(arm, {"q": 0}, law, limits=Limits({"u": (lo, hi)}), sample_period="1e-3")
+        return next(c.status for c in derive(design).claims if c.claim == "saturation")
+
+    assert status(-1, 2) is Status.PROVED
+    assert status(-1, "1.9999999999") is not Status.PROVED
+    assert status("-0.9999999999", 2) is not Status.PROVED
+
+
 def test_an_unbounded_potential_is_bounded_on_its_domain():
     claim, interval = _pendulum(lambda q: q**2, 3, domain={"q": (-1, 1)})
     assert claim.status is Status.PROVED

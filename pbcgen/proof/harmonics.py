@@ -1,0 +1,83 @@
+"""Trigonometric polynomials as sums of harmonics: an exact bound that is attained where the harmonics may align.
+
+``sum_w (a_w cos(w^T q) + b_w sin(w^T q))`` over frequencies w differs from its mean by at most the sum of the
+amplitudes ``sqrt(a_w^2 + b_w^2)``, each frequency counted once. Its range reaches the bound when the frequencies are
+independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fractions import Fraction
+from math import isqrt
+
+from flint import arb
+
+from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.real import BITS, fraction, precision, rational, upper
+
+#: Polynomials with more terms, or products with more factors or harmonics, are left alone.
+_MOST_TERMS, _MOST_FACTORS, _MOST_HARMONICS = 60, 10, 400
+
+#: Coefficients of exp(i w^T q) by the frequency w, as real and imaginary parts.
+_Series = dict[tuple[int, ...], tuple[Fraction, Fraction]]
+
+
+def harmonic_bounds(function: Quotient) -> tuple[Fraction, Fraction] | None:
+    """The mean of a polynomial in sines and cosines, and by how much it differs from that; None for other functions.
+
+    The second number is exact where all amplitudes are rational, and rounded upwards else.
+    """
+    terms = function.numerator.to_dict()
+    if not function.is_polynomial() or len(terms) > _MOST_TERMS:
+        return None
+    angles: dict[str, int] = {}
+    series: _Series = {}
+    for exponents, coefficient in terms.items():
+        product = _product(function.field, {k: int(e) for k, e in enumerate(exponents) if e}, angles)
+        if product is None or len(series) > _MOST_HARMONICS:
+            return None
+        _add(series, product, fraction(coefficient))
+    still = (0,) * _MOST_FACTORS
+    mean = series.pop(still, (Fraction(0), Fraction(0)))[0]
+    return mean, sum((_modulus(a * a + b * b) for a, b in series.values()), Fraction(0))
+
+
+def _product(field: Field, powers: Mapping[int, int], angles: dict[str, int]) -> _Series | None:
+    """A product of powers of sines and cosines; ``angles`` gets a place for each argument."""
+    if sum(powers.values()) > _MOST_FACTORS:
+        return None
+    half = Fraction(1, 2)
+    result: _Series = {(0,) * _MOST_FACTORS: (Fraction(1), Fraction(0))}
+    for k, power in powers.items():
+        atom = field.atoms.get(k)
+        if atom is None or atom.kind not in ("sin", "cos"):
+            return None
+        place = angles.setdefault(f"{atom.argument.numerator}|{atom.argument.denominator}", len(angles))
+        if place >= _MOST_FACTORS:
+            return None
+        for _ in range(power):
+            following: _Series = {}
+            for w, (a, b) in result.items():
+                for side in (1, -1):
+                    turned = (*w[:place], w[place] + side, *w[place + 1 :])
+                    # cos = (e + 1/e) / 2, sin = (e - 1/e) / (2 i): the factor 1/i turns (a, b) to (b, -a).
+                    part = (a * half, b * half) if atom.kind == "cos" else (b * half * side, -a * half * side)
+                    _add(following, {turned: part}, Fraction(1))
+            result = following
+    return result
+
+
+def _add(series: _Series, other: _Series, factor: Fraction) -> None:
+    for w, (a, b) in other.items():
+        before = series.get(w, (Fraction(0), Fraction(0)))
+        series[w] = before[0] + a * factor, before[1] + b * factor
+
+
+def _modulus(square: Fraction) -> Fraction:
+    """The square root: exact for squares of rationals, else rounded upwards."""
+    top, bottom = isqrt(square.numerator), isqrt(square.denominator)
+    if top * top == square.numerator and bottom * bottom == square.denominator:
+        return Fraction(top, bottom)
+    with precision(BITS):
+        return upper(arb(rational(square)).sqrt())
