@@ -75,11 +75,10 @@ def gain_change(
 
         def good(t: Fraction, factors: Callable[[Fraction], dict[str, Fraction]] = factors) -> bool:
             candidate = scaled(law, factors(t))
-            if not acceptable(candidate):
-                return False
             loop = family.loop(candidate)
             beyond = None if delay else spectrum.beyond(loop, h)
-            return (beyond is None or beyond < _FAR) and spectral(loop, h, delay).status is Status.PROVED
+            worth = (beyond is None or beyond < _FAR) and acceptable(candidate)
+            return worth and spectral(loop, h, delay).status is Status.PROVED
 
         milder = [t for t in tried if best is None or t > best[0]]
         t = next((t for t in milder if good(t)), None)  # each is tested: the good ones need not be an interval

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 
+import numpy as np
 from flint import acb, arb
+from numpy.typing import NDArray
 
 from pbcgen.control.transition import Basis, LinearLoop, Transition, complex_matrix, midpoints
 from pbcgen.passivity.shaping import add, diagonal, multiply
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, inverse
-from pbcgen.proof.spectrum import Stability, schur, zero_order_hold
-from pbcgen.symbolic.real import BITS, ONE, approximate, ball, near_eigenvalues, precision, rational
+from pbcgen.proof.spectrum import Stability, as_floats, eigenvalues_in_doubles, schur, zero_order_hold
+from pbcgen.symbolic.real import BITS, ONE, ball, near_eigenvalues, precision, rational
 
 #: Periods of the estimate grow by this factor.
 _RATIO = 1.4
 #: Single periods are examined by this factor up or down, then in between until they are as close as this.
 _LEAP, _CLOSE = 4, 1.02
+#: Loops of more states are looked at in double precision, where there are many to look at.
+_LARGEST_PRECISE = 24
 #: The shortest that is examined, as a share of the first one.
 _SHORTEST = 1e-12
 
@@ -36,13 +42,9 @@ def period_matrix(loop: LinearLoop, h: Fraction) -> RealMatrix:
 
     Raises ZeroDivisionError if the implicit step may be singular.
     """
-    # Enclosures of the exponential lose about norm(A) h bits; the extra precision pays for them.
-    norm = max((sum(abs(approximate(v)) for v in row) for row in loop.A), default=0.0)
-    extra = int(min(4096.0, 3 * norm * float(h)))
     period = rational(h)
-    with precision(BITS + extra):
-        Ad, Bd = zero_order_hold(loop.A, loop.B, period)
     with precision(BITS):
+        Ad, Bd = zero_order_hold(loop.A, loop.B, period)
         u_x = multiply(loop.u_m, loop.H)
         if not loop.r_xi:
             return add(Ad, multiply(Bd, u_x))
@@ -77,15 +79,44 @@ class Figures:
     damping: float
 
 
+def radius_in_doubles(loop: LinearLoop, h: Fraction) -> float:
+    """The spectral radius of the sampled loop, without bounds and in double precision: nan where that fails.
+
+    Stiff loops may be misjudged. It is for large loops, to see which of them are worth a proof.
+    """
+    from scipy.linalg import expm, inv
+
+    n, k, m = loop.sizes
+    period, H = float(h), as_floats(loop.H)
+    with np.errstate(all="ignore"):
+        try:
+            held = expm(np.block([[as_floats(loop.A), as_floats(loop.B)], [np.zeros((m, n + m))]]) * period)
+            free, driven, read = held[:n, :n], held[:n, n:], as_floats(loop.u_m) @ H
+            if not k:
+                return _largest(free + driven @ read)
+            step = inv(np.eye(k) - period * as_floats(loop.r_xi))
+            moved, pull = period * step @ as_floats(loop.r_m) @ H, as_floats(loop.u_xi)
+            return _largest(np.block([[free + driven @ (read + pull @ moved), driven @ pull @ step], [moved, step]]))
+        except (ValueError, np.linalg.LinAlgError, OverflowError):
+            return math.nan
+
+
+def _largest(matrix: NDArray[np.float64]) -> float:
+    return max((abs(v) for v in eigenvalues_in_doubles(matrix)), default=0.0)
+
+
 class Spectrum:
     """Eigenvalues of many loops around one plant, with 40 digits; the sampled ones with the delay of the input."""
 
     _BITS = 140
 
     def __init__(self, A: RealMatrix, delay: Fraction = Fraction(0)) -> None:
-        self._delay = delay
+        self._A, self._delay = A, delay
+
+    @cached_property
+    def _plant(self) -> Basis:
         with precision(self._BITS):
-            self._plant = Basis(complex_matrix(A, len(A), len(A)))
+            return Basis(complex_matrix(self._A, len(self._A), len(self._A)))
 
     def figures(self, loop: LinearLoop, h: Fraction, margin: Fraction) -> Figures | None:
         """The figures at h, the radius also at ``margin`` times h; None where they could not be computed."""
@@ -109,7 +140,13 @@ class Spectrum:
         return Figures(abscissa, radius, damping)
 
     def beyond(self, loop: LinearLoop, h: Fraction) -> float | None:
-        """How far the spectral radius at h is beyond one, ``radius - 1``; None where it could not be computed."""
+        """How far the spectral radius at h is beyond one, ``radius - 1``; None where it could not be computed.
+
+        Of large loops without a delay in double precision.
+        """
+        if sum(loop.sizes[:2]) > _LARGEST_PRECISE and not self._delay:
+            beyond = radius_in_doubles(loop, h) - 1
+            return None if math.isnan(beyond) else beyond
         with precision(self._BITS):
             try:
                 values = _eigenvalues(Transition(loop, self._delay, self._plant), h)
@@ -162,14 +199,23 @@ def examine(loop: LinearLoop, h: Fraction, end: Fraction, here: Stability, delay
 
     ``here`` is the verdict at h.
 
-    For loops that are too large to scan. Each period is a number of at most three digits, or h.
+    For loops that are too large to scan. Each period is a number of at most three digits, or h. Without a delay they
+    are looked for in double precision, and the one that is found is proved.
     """
 
-    def stable(t: Fraction) -> bool:
+    def proved(t: Fraction) -> bool:
         return spectral(loop, t, delay).status is Status.PROVED
 
-    good: Fraction | None = h if here.status is Status.PROVED else None
-    bad: Fraction | None = None if good else h
+    stable_here = here.status is Status.PROVED
+    if not delay:
+        likely = _search(h, end, stable_here, lambda t: radius_in_doubles(loop, t) < 1)
+        if likely.stable is not None and (likely.stable == h or proved(likely.stable)):
+            return likely
+    return _search(h, end, stable_here, proved)
+
+
+def _search(h: Fraction, end: Fraction, stable_here: bool, stable: Callable[[Fraction], bool]) -> Examined:
+    good, bad = (h, None) if stable_here else (None, h)  # type: Fraction | None, Fraction | None
     while bad is not None and good is None:
         lower = _three_digits(float(bad) / _LEAP)
         if lower < h * Fraction(_SHORTEST):

@@ -134,12 +134,16 @@ class _Work:
         """`stable` and `asymptotically-stable`."""
         system = self.system
         if claim.status is Status.REFUTED:
-            return self._conserved() or self._undamped()
+            return self._conserved() or self._undamped() or self._large(system.continuous, "hurwitz")
         if len(system.continuous) <= LARGEST_ROUTH:
             return None if stable(system.continuous, False) else self._by_steps()
         if (found := self._by_storage()) is not None:
             return found
-        storage = _storage(system.continuous, "hurwitz")
+        return self._large(system.continuous, "hurwitz")
+
+    def _large(self, matrix: Matrix, kind: Kind) -> Witness:
+        """P for a large loop."""
+        storage = _storage(matrix, kind) if len(matrix) > LARGEST_ROUTH else None
         return None if storage is None else {"P": storage}
 
     def _by_steps(self) -> Witness:
@@ -292,7 +296,7 @@ class _Work:
     def sampled(self, claim: Claim) -> Witness:
         """`sampled-stable`."""
         if claim.status is Status.REFUTED:
-            return None
+            return self._large(self.system.sampled, "schur")
         large = len(self.system.continuous) > LARGEST_ROUTH
         decreases = large and rational(claim.certificate.get("lyapunov_period", "0")) > self.system.period
         if claim.domain == "sampled loop, all x" or decreases or not (large or stable(self.system.sampled, True)):
@@ -303,8 +307,7 @@ class _Work:
                 found = sampled_damping(self.derivation, damped, self.terms)
             if found is not None:
                 return found
-        storage = _storage(self.system.sampled, "schur") if large else None
-        return None if storage is None else {"P": storage}
+        return self._large(self.system.sampled, "schur")
 
 
 _MAKERS = {
@@ -321,13 +324,13 @@ _MAKERS = {
 def _storage(matrix: Matrix, kind: Kind) -> list[list[str]] | None:
     """The lower triangle of a Lyapunov matrix with as few digits as suffice."""
     proof = lyapunov(matrix, kind)
-    if proof.status is not Status.PROVED:
+    if proof.status is Status.UNDECIDED:
         return None
     P = [[proof.P[i][j] / proof.scale[i] / proof.scale[j] for j in range(i + 1)] for i in range(len(matrix))]
     for digits in _DIGITS:
         rows = [[f"{v:.{digits}g}" for v in row] for row in P]
         exact = [[rational(rows[max(i, j)][min(i, j)]) for j in range(len(rows))] for i in range(len(rows))]
-        if stable(matrix, kind == "schur", exact):
+        if stable(matrix, kind == "schur", exact) is (proof.status is Status.PROVED):
             return rows
     return None
 

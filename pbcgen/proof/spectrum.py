@@ -13,6 +13,7 @@ from math import comb
 
 import numpy as np
 from flint import acb, acb_mat, ctx, fmpq, fmpq_mat
+from numpy.typing import NDArray
 
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, as_balls
@@ -92,18 +93,23 @@ def approximate_eigenvalues(matrix: RealMatrix) -> list[complex]:
     if not matrix:
         return []
     if len(matrix) > _LESS_PRECISE:
-        return _double_eigenvalues(matrix)
+        return eigenvalues_in_doubles(as_floats(matrix))
     with precision(ctx.prec if len(matrix) <= _PRECISE else _DISPLAY_BITS):
         middle = acb_mat([[ball(rational(midpoint(entry))) for entry in row] for row in matrix])
         values = near_eigenvalues(middle)
     return sorted((complex(float(midpoint(v.real)), float(midpoint(v.imag))) for v in values), key=lambda z: -z.real)
 
 
-def _double_eigenvalues(matrix: RealMatrix) -> list[complex]:
-    """Eigenvalues of the balanced matrix in double precision."""
+def as_floats(matrix: RealMatrix) -> NDArray[np.float64]:
+    """The matrix rounded."""
+    return np.array([[approximate(entry) for entry in row] for row in matrix], dtype=float)
+
+
+def eigenvalues_in_doubles(matrix: NDArray[np.float64]) -> list[complex]:
+    """Eigenvalues of the balanced matrix in double precision, the rightmost first. Raises ValueError on overflow."""
     from scipy.linalg import matrix_balance
 
-    balanced, _ = matrix_balance(np.array([[approximate(entry) for entry in row] for row in matrix], dtype=float))
+    balanced, _ = matrix_balance(matrix)
     return sorted((complex(z) for z in np.linalg.eigvals(balanced)), key=lambda z: -z.real)
 
 

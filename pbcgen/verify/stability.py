@@ -174,7 +174,8 @@ class Stability(Assumptions):
 
     def refuted_sampled_stable(self) -> None:
         """An eigenvalue of the linearised sampled loop lies outside the unit disc."""
-        require(stable(self.sampled, True) is False, "no eigenvalue certainly lies outside the unit disc")
+        storage = self.storage("sampled-stable")
+        require(stable(self.sampled, True, storage) is False, "no eigenvalue certainly lies outside the unit disc")
 
     def _decreases(self) -> None:
         """What a period h consumes leaves damping: ``Lambda - h C / 2 > 0`` for y, or Theta > 0 with that."""

@@ -11,6 +11,7 @@ import casadi as ca
 import pytest
 
 from pbcgen import Circuit, Design, DynamicExtension, Limits, Mechanical, Parameters
+from pbcgen.control import linearisation
 from pbcgen.control.closed_loop import until_settled
 from pbcgen.control.derive import derive
 from pbcgen.control.gain_change import scaled
@@ -18,9 +19,12 @@ from pbcgen.control.linearisation import examine, spectral
 from pbcgen.control.situation import Situation
 from pbcgen.pipeline import check
 from pbcgen.proof.claim import Status
+from pbcgen.proof.spectrum import schur
 
 
-def ladder(n: int, resistance: str = "1", leakage: str = "0.1", where: int = 0, **more: Any) -> Design:
+def ladder(
+    n: int, resistance: str = "1", leakage: str = "0.1", where: int = 0, sample_period: str = "1e-6", **more: Any
+) -> Design:
     """n/2 sections of an RLC ladder; the section ``where`` has its own resistance and leakage."""
     p = Parameters(L="0.01", C="1e-4", r=1, G="0.1")
     own = {"r": float(resistance), "G": float(leakage)}
@@ -45,7 +49,7 @@ def ladder(n: int, resistance: str = "1", leakage: str = "0.1", where: int = 0, 
         **more,
     )
     law = DynamicExtension(alpha=10, beta=1, K_c=1, R_c=1)
-    return Design(circuit, target={"v0": "0.001"}, law=law, limits=Limits.symmetric(1000), sample_period="1e-6")
+    return Design(circuit, target={"v0": "0.001"}, law=law, limits=Limits.symmetric(1000), sample_period=sample_period)
 
 
 def was_linearised(situation: Situation | None) -> bool:
@@ -138,6 +142,20 @@ def test_a_refusal_of_a_large_loop_names_a_proved_period_and_gain_change(delay: 
     change = Fraction(claim.hint.split("alpha*beta by ")[1].split(",")[0])
     law = scaled(found.situation.law, {"alpha*beta": change})
     assert spectral(family.loop(law), design.sample_period, Fraction(delay)).status is Status.PROVED
+
+
+def test_a_large_loop_that_is_sampled_far_too_slowly_is_refused_with_few_proofs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looked_at = []
+    monkeypatch.setattr(linearisation, "schur", lambda M: looked_at.append(len(M)) or schur(M))
+    found = derive(ladder(40, sample_period="0.1"))
+    claim = {c.claim: c for c in found.claims}["sampled-stable"]
+    assert claim.status is Status.REFUTED
+    assert found.situation is not None
+    period = Fraction(claim.hint.split("sample at h = ")[1].split(" s")[0])
+    assert spectral(found.situation.loop, period).status is Status.PROVED
+    assert len(looked_at) <= 4
 
 
 @pytest.mark.system

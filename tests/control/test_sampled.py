@@ -12,7 +12,7 @@ from pbcgen.control.derive import derive
 from pbcgen.control.family import LoopFamily
 from pbcgen.control.gain_change import gain_change, scaled
 from pbcgen.control.jitter import jitter
-from pbcgen.control.linearisation import Spectrum, delayed_matrix, period_matrix, spectral
+from pbcgen.control.linearisation import Spectrum, delayed_matrix, period_matrix, radius_in_doubles, spectral
 from pbcgen.control.sampled import radius_text
 from pbcgen.control.scan import scan
 from pbcgen.control.transition import LinearLoop, Transition
@@ -337,6 +337,7 @@ def test_gains_are_left_out_only_where_the_spectral_radius_is_beyond_one(name):
         h = design.sample_period * factor
         found, beyond = spectral(loop, h), spectrum.beyond(loop, h)
         assert beyond == pytest.approx(found.extreme - 1, rel=1e-6, abs=1e-9)
+        assert radius_in_doubles(loop, h) == pytest.approx(found.extreme, rel=1e-6)
         assert (beyond > 0.01) <= (found.status is Status.REFUTED)
         seen.add(found.status)
     assert seen == {Status.PROVED, Status.REFUTED}

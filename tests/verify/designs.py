@@ -176,12 +176,15 @@ def wrong_output():
     return _design(system, [0, 0])
 
 
-def chain(masses=12, law=LAW, sample_period="1e-2", cut=None, **options):
-    """A chain of masses: more states than Routh's array is used for. Those behind a ``cut`` have no damping."""
+def chain(masses=12, law=LAW, sample_period="1e-2", cut=None, last=1, **options):
+    """A chain of masses: more states than Routh's array is used for.
+
+    Those behind a ``cut`` have no damping; ``last`` is the damping of the last one.
+    """
     q, p = ca.SX.sym("q", masses), ca.SX.sym("p", masses)
     V = sum(((q[k] - (0 if k == cut else q[k + 1])) ** 2 for k in range(masses - 1)), q[0] ** 2) / 2
     G = [[1]] + [[0]] * (masses - 1)
-    D = [1 if cut is None or k <= cut else 0 for k in range(masses)]
+    D = [*(1 if cut is None or k <= cut else 0 for k in range(masses - 1)), last if cut is None else 0]
     system = Mechanical(q, p, M=ca.SX.eye(masses), V=V + (q[masses - 1] ** 2 if cut else 0), G=G, D=D, **options)
     return _design(system, {"q_0": "0.5"}, law, sample_period=sample_period)
 
@@ -194,6 +197,16 @@ def integral_chain():
 def slowly_sampled_chain():
     """The same, sampled more slowly than the storage allows."""
     return chain(sample_period="0.5")
+
+
+def too_slowly_sampled_chain():
+    """The same, sampled so slowly that it is unstable."""
+    return chain(sample_period="3")
+
+
+def pushed_chain():
+    """The same with a mass that is pushed on: unstable."""
+    return chain(last=-3)
 
 
 def chain_on_a_domain():
@@ -328,6 +341,8 @@ DESIGNS = {
         chain,
         integral_chain,
         slowly_sampled_chain,
+        too_slowly_sampled_chain,
+        pushed_chain,
         chain_on_a_domain,
         cut_chain,
         two_links,

@@ -72,6 +72,8 @@ KINDS = {
     "chain": (LOCAL, "PROVED", "globally"),
     "integral_chain": (LOCAL, "PROVED", "P"),
     "slowly_sampled_chain": (SAMPLED, "PROVED", "P"),
+    "too_slowly_sampled_chain": (SAMPLED, "REFUTED", "P"),
+    "pushed_chain": (LOCAL, "REFUTED", "P"),
     "chain_on_a_domain": (LOCAL, "PROVED", "steps"),
     "cubic_load": (GLOBAL, "PROVED", "currents"),
     "shunt": (GLOBAL, "PROVED", "currents"),
@@ -167,6 +169,21 @@ def test_a_storage_that_is_not_definite_or_does_not_fall_is_refused():
         assert _with_storage(rows) != "checked"
 
 
+def test_a_storage_that_decreases_and_is_not_definite_shows_only_that_a_loop_is_unstable():
+    document = document_of("too_slowly_sampled_chain")
+    P = witness(document, SAMPLED)["P"]
+    forged = copy.deepcopy(document)
+    for entry in forged["claims"]:
+        entry["status"] = "PROVED" if entry["claim"] == SAMPLED else entry["status"]
+    assert outcomes(signed(forged))[SAMPLED] == "fails"
+    stable = copy.deepcopy(document_of("slowly_sampled_chain"))
+    for entry in stable["claims"]:
+        entry["status"] = "REFUTED" if entry["claim"] == SAMPLED else entry["status"]
+    assert outcomes(signed(stable))[SAMPLED] == "fails"
+    for rows in ([["0"] * (i + 1) for i in range(len(P))], [[f"-{v}".replace("--", "") for v in row] for row in P]):
+        assert outcomes(with_witness(document, SAMPLED, P=rows))[SAMPLED] == "fails"
+
+
 def test_a_local_claim_does_not_rest_on_a_global_one_that_is_not_shown():
     document = document_of("integral_chain")
     assert outcomes(with_witness(document, LOCAL, globally=True))[LOCAL] != "checked"
@@ -254,6 +271,10 @@ PAIRS = [
     ("cubic_load", "tunnel_diode", GLOBAL),
     ("shunt", "tunnel_diode", GLOBAL),
     ("chain", "cut_chain", LOCAL),
+    ("chain", "pushed_chain", LOCAL),
+    ("integral_chain", "pushed_chain", LOCAL),
+    ("integral_chain", "pushed_chain", "stable"),
+    ("slowly_sampled_chain", "too_slowly_sampled_chain", SAMPLED),
     ("chain_on_a_domain", "cut_chain", LOCAL),
     ("integral_chain", "cut_chain", LOCAL),
 ]

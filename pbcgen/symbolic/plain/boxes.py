@@ -52,7 +52,7 @@ def leaf(kind: str, box: Box, function: Callable[[Sequence[Any]], Any], zeros: M
         return bool(function([_ball(lo, hi) for lo, hi in box]) >= 0)
     if kind == ":":
         hull = [(min(lo, zeros.get(k, lo)), max(hi, zeros.get(k, hi))) for k, (lo, hi) in enumerate(box)]
-        return bool(zeros) and is_definite(_hessian(function, hull, [*zeros]))
+        return bool(zeros and is_definite(_hessian(function, hull, [*zeros])))
     value = function(variables([_ball(lo, hi) for lo, hi in box]))
     slopes = [partial(value, k) for k in range(len(box))]
     if not all(arb(v).is_finite() for v in (plain(value), *slopes)):

@@ -7,7 +7,7 @@ from itertools import permutations
 from math import comb
 from typing import Any
 
-from flint import acb, acb_mat, arb, arb_mat, ctx, fmpq
+from flint import acb, acb_mat, arb, arb_mat, fmpq
 
 from pbcgen.symbolic.plain.values import Dual, partial, plain, sign, times, variables
 
@@ -77,8 +77,8 @@ def _together(value: arb_mat, slopes: dict[int, arb_mat]) -> Matrix:
     return [[Dual(value[at], {k: s[at] for k, s in slopes.items()}) for at in row] for row in places]
 
 
-def is_definite(a: Matrix, semi: bool = False) -> bool:
-    """Whether a symmetric matrix is certainly positive (semi)definite: by elimination, every pivot is.
+def is_definite(a: Matrix, semi: bool = False) -> bool | None:
+    """Whether a symmetric matrix is positive (semi)definite, by elimination; None if that is not certain.
 
     Rows with few entries come first: a large system stays sparse.
     """
@@ -88,7 +88,7 @@ def is_definite(a: Matrix, semi: bool = False) -> bool:
         row = rows.pop(i)
         pivot = row.pop(i, fmpq(0))
         if sign(pivot) != 1 and not (semi and all(sign(v) == 0 for v in (pivot, *row.values()))):
-            return False
+            return False if sign(pivot) == -1 or (sign(pivot) == 0 and not semi) else None
         for k in row:
             below = rows[k].pop(i, fmpq(0))
             rows[k] |= {j: rows[k].get(j, fmpq(0)) - v * below / pivot for j, v in row.items() if pivot != 0}
@@ -116,12 +116,8 @@ def zero_order_hold(A: Matrix, B: Matrix, h: fmpq) -> tuple[Matrix, Matrix]:
     """``x' = A x + B u`` with u constant over h: (e^{Ah}, int_0^h e^{As} ds B)."""
     n, m = len(A), len(B[0])
     rows = [[v * h for v in (*a, *b)] for a, b in zip(A, B, strict=True)] + [[fmpq(0)] * (n + m)] * m
-    bits = ctx.prec
-    # The exponential loses bits in proportion to the norm; these pay for them.
-    ctx.prec += min(4096, 3 * max(int(sum(abs(float(arb(plain(v)))) for v in row)) for row in rows))
     value, slopes = _apart(rows)
     held = _together(value.exp(), {k: _slope_of_exp(value, s) for k, s in slopes.items()})[:n]
-    ctx.prec = bits
     return [row[:n] for row in held], [row[n:] for row in held]
 
 
@@ -186,14 +182,14 @@ def _in_discs(modal: acb_mat, discrete: bool) -> bool:
 def stable(a: Matrix, discrete: bool, storage: Matrix | None = None) -> bool | None:
     """Whether all eigenvalues lie in the open left half-plane (unit disc); False when one is certainly beyond.
 
-    Given a symmetric storage P, this is True when ``P > 0`` and P decreases, ``-(A^T P + P A) > 0`` (or
-    ``P - A^T P A > 0``), and nothing else is tried.
+    Given a symmetric storage P that decreases, ``-(A^T P + P A) > 0`` (or ``P - A^T P A > 0``), no eigenvalue is on the
+    boundary, and all are inside if and only if ``P > 0``; nothing else is tried.
     """
     matrix, size = arb_mat(a), len(a)
     if storage is not None:
         P = arb_mat(storage)
         fall = P - matrix.transpose() * P * matrix if discrete else -(matrix.transpose() * P + P * matrix)
-        return (is_definite(storage) and is_definite(fall.tolist())) or None
+        return is_definite(P.tolist()) if is_definite(fall.tolist()) else None
     polynomial = matrix.charpoly()
     coefficients = [polynomial[k] for k in range(size + 1)]
     if discrete:
