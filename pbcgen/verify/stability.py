@@ -33,10 +33,9 @@ class Stability(Assumptions):
         """The Lyapunov function of Prop. pro1, pro2 or pro4."""
         require("integral" not in self.law, "the law has no Lyapunov function")
         checks = [self.proved_assumption_1, self.proved_passive_output, self.proved_gradient_condition]
-        checks += [self.proved_hessian_condition]
-        if "passive-output" not in self.law:
-            checks += [self.proved_gain_definiteness, self.proved_kc_bound]
-        for check in checks + ([self.proved_theta] if "natural-damping" in self.law else []):
+        filters = [self.proved_gain_definiteness, self.proved_kc_bound] if "passive-output" not in self.law else []
+        damped = [self.proved_theta] if "natural-damping" in self.law else []
+        for check in [*checks, self.proved_hessian_condition, *filters, *damped]:
             self.once(check)
 
     @cached_property
@@ -167,15 +166,14 @@ class Stability(Assumptions):
             self.once(self.proved_globally_asymptotically_stable if whole else self.proved_asymptotically_stable)
             return self._decreases()
         linear = stable(self.sampled, True, self.storage("sampled-stable"))
-        require(linear is not False, "the linearised sampled loop is not Schur")
-        if whole or not linear:
+        if linear is not False and (whole or not linear):
             raise NotCheckable("the certificate does not hold the damping that sampling consumes")
-        return None
+        return require(linear, "the linearised sampled loop is not Schur")
 
     def refuted_sampled_stable(self) -> None:
         """An eigenvalue of the linearised sampled loop lies outside the unit disc."""
-        storage = self.storage("sampled-stable")
-        require(stable(self.sampled, True, storage) is False, "no eigenvalue certainly lies outside the unit disc")
+        linear = stable(self.sampled, True, self.storage("sampled-stable"))
+        require(linear is False, "no eigenvalue certainly lies outside the unit disc")
 
     def _decreases(self) -> None:
         """What a period h consumes leaves damping: ``Lambda - h C / 2 > 0`` for y, or Theta > 0 with that."""

@@ -33,11 +33,8 @@ def slopes(field: Field, a: Function) -> list[Function]:
     """The partial derivatives of a function by the symbols."""
     degrees = a.top.degrees()
     if a.bottom.is_constant() and not any(degrees[: field.pool]):  # a polynomial without atoms
-        zero, tops = (
-            field.lift(0),
-            (a.top.derivative(k) if degrees[k] else None for k in range(field.pool, len(degrees))),
-        )
-        return [zero if top is None else field.quotient(top, a.bottom) for top in tops]
+        tops = [a.top.derivative(k) if degrees[k] else None for k in range(field.pool, len(degrees))]
+        return [field.lift(0) if top is None else field.quotient(top, a.bottom) for top in tops]
     dual = put_in(field, a, variables(field.symbols))
     return [field.lift(partial(dual, k)) for k in range(len(field.symbols))]
 
