@@ -14,6 +14,7 @@ from pbcgen.control.derive import Derivation
 from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.shaping import Shape, diagonal, shape_at
+from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.definite import dense, eigenvalues
 from pbcgen.report.law_formulas import LAWS, formulas_of
 from pbcgen.report.mathematics import (
@@ -100,7 +101,7 @@ def _storage(d: Derivation) -> Step:
     if mechanical:
         loss = r"-\nabla S^{\top} f = \dot q^{\top} D \dot q = \lVert \ell \rVert^2 \ge 0"
     else:
-        loss = rf"-\nabla S^{{\top}} f = \lVert \ell(x) \rVert^2 = {_loss(plant)}"
+        loss = rf"-\nabla S^{{\top}} f = \lVert \ell(x) \rVert^2 = {_loss(plant, structure)}"
     formulas.append(Formula("Dissipation of the system left alone (pascond)", loss))
     return Step(
         "storage",
@@ -113,8 +114,15 @@ def _storage(d: Derivation) -> Step:
     )
 
 
-def _loss(plant: Plant) -> str:
-    return exactly(plant, -ca.dot(plant.gradient, plant.system.f))[0][0]
+def _loss(plant: Plant, structure: PowerStructure | None) -> str:
+    """In the rates of the free motion where grad S = A f, which is short; else in the states."""
+    if structure is None or structure.form != "A":
+        return exactly(plant, -ca.dot(plant.gradient, plant.system.f))[0][0]
+    B = ca.sparsify(ca.densify(structure.dissipation()))
+    if any(row != col for row, col in zip(*B.sparsity().get_triplet(), strict=True)):
+        return rf"\dot x^{{\top}} {matrix(exactly(plant, ca.densify(B)))} \dot x, \quad \dot x = f"
+    losses = [row[0] for row in exactly(plant, ca.densify(ca.diag(B)))]
+    return _combination(losses, [f"{rate(name)}^2" for name in plant.system.state_names]) + r", \quad \dot x = f"
 
 
 def _output(d: Derivation) -> Step:
@@ -123,7 +131,8 @@ def _output(d: Derivation) -> Step:
         formulas.append(Formula("Found", rf"\gamma(x) = {column([row[0] for row in exactly(d.plant, d.gamma)])}"))
         slope = ca.jacobian(d.gamma, d.plant.system.x)
         terms = exactly(d.plant, ca.densify(slope))
-        outputs = [_combination(row, d.plant.system.state_names) for row in terms]
+        rates = [rate(name) for name in d.plant.system.state_names]
+        outputs = [_combination(row, rates) for row in terms]
         formulas.append(Formula("Passive output (ypas)", rf"y = \dot\gamma = {column(outputs)}"))
         formulas.append(Formula("Feedthrough of the output: y contains w^T w u (ypas)", _feedthrough(d.plant, slope)))
     return Step(
@@ -151,15 +160,14 @@ _HILL_MOYLAN = (
 )
 
 
-def _combination(coefficients: list[str], names: tuple[str, ...]) -> str:
+def _combination(coefficients: list[str], factors: list[str]) -> str:
     terms = []
-    for coefficient, name in zip(coefficients, names, strict=True):
-        dotted = rate(name)
+    for coefficient, factor in zip(coefficients, factors, strict=True):
         if coefficient == "0":
             continue
         simple = not any(sign in coefficient for sign in (" + ", " - "))
         shown = coefficient if simple or coefficient.startswith(r"\frac") else rf"\left({coefficient}\right)"
-        terms.append(dotted if coefficient == "1" else f"-{dotted}" if coefficient == "-1" else f"{shown} {dotted}")
+        terms.append(factor if coefficient == "1" else f"-{factor}" if coefficient == "-1" else f"{shown} {factor}")
     return " + ".join(terms).replace("+ -", "- ") or "0"
 
 

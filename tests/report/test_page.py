@@ -9,6 +9,7 @@ from shown_designs import circuit, circuit_page, refused
 
 from pbcgen import pipeline
 from pbcgen.control.attraction import Region
+from pbcgen.control.derive import derive
 from pbcgen.models.loader import load
 from pbcgen.proof.claim import Status
 from pbcgen.report.derivation import steps
@@ -174,3 +175,9 @@ def test_the_functions_of_the_header_are_shown():
 def test_the_feedthrough_of_the_output_is_stated():
     latex = {f.caption: f.latex for s in steps(circuit()[0].derivation) for f in s.formulas}
     assert latex["Feedthrough of the output: y contains w^T w u (ypas)"].endswith("= 0")
+
+
+def test_the_loss_of_a_circuit_is_a_short_sum_in_the_rates():
+    (step,) = (step for step in steps(derive(load("rlc"))) if step.key == "storage")
+    (loss,) = (formula.latex for formula in step.formulas if formula.caption.startswith("Dissipation"))
+    assert loss.endswith(r"= r \dot{x}_{2}^2 + \frac{a e^{\frac{x_{3}}{b}}}{b} \dot{x}_{3}^2, \quad \dot x = f")
