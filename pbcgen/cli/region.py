@@ -78,7 +78,8 @@ def _show(console: Console, name: str, found: Region, ellipsoid: Ellipsoid | Non
             console.print(f"  {state} in [{lo:.6g}, {hi:.6g}]", highlight=False)
         console.print()
         console.print(
-            "Every state of this box whose height V - V(x*), the filters counted, is within the level settles at x*.",
+            "From every state of this box whose height V - V(x*), the filters counted, is within the level, the law in "
+            "continuous time settles at x*.",
             highlight=False,
         )
         where = "inside" if starts else "not inside; it may settle all the same"
