@@ -29,7 +29,7 @@ from pbcgen.report.mathematics import (
     rate,
     symbols,
 )
-from pbcgen.report.stability_steps import lyapunov_step, sampled_step
+from pbcgen.report.stability_steps import lyapunov_step, proved, sampled_step
 from pbcgen.symbolic.real import BITS, precision, rational
 from pbcgen.symbolic.sympy_form import name_as_latex
 
@@ -128,13 +128,17 @@ def _loss(plant: Plant, structure: PowerStructure | None) -> str:
 def _output(d: Derivation) -> Step:
     formulas = []
     if d.gamma is not None:
-        formulas.append(Formula("Found", rf"\gamma(x) = {column([row[0] for row in exactly(d.plant, d.gamma)])}"))
+        passive = proved(d, "passive-output")
+        names = ("Found", "Passive output (ypas)") if passive else ("Tried", "Its rate: it may be no passive output")
+        formulas.append(Formula(names[0], rf"\gamma(x) = {column([row[0] for row in exactly(d.plant, d.gamma)])}"))
         slope = ca.jacobian(d.gamma, d.plant.system.x)
         terms = exactly(d.plant, ca.densify(slope))
         rates = [rate(name) for name in d.plant.system.state_names]
         outputs = [_combination(row, rates) for row in terms]
-        formulas.append(Formula("Passive output (ypas)", rf"y = \dot\gamma = {column(outputs)}"))
-        formulas.append(Formula("Feedthrough of the output: y contains w^T w u (ypas)", _feedthrough(d.plant, slope)))
+        formulas.append(Formula(names[1], rf"y = \dot\gamma = {column(outputs)}"))
+        if passive:
+            through = _feedthrough(d.plant, slope)
+            formulas.append(Formula("Feedthrough of the output: y contains w^T w u (ypas)", through))
     return Step(
         "output",
         "Passive output: a function gamma whose rate is y",

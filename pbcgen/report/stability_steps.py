@@ -8,15 +8,22 @@ import casadi as ca
 
 from pbcgen.control.derive import Derivation
 from pbcgen.models.laws import Integral, NaturalDamping, base_law
+from pbcgen.proof.claim import Status
 from pbcgen.report.law_formulas import ENERGY
 from pbcgen.report.mathematics import Formula, Step, number
 from pbcgen.symbolic.sympy_form import from_sx, latex, name_as_latex
 
 
+def proved(d: Derivation, *names: str) -> bool:
+    """Whether these claims, as far as they concern the law, are PROVED."""
+    return all(claim.status is Status.PROVED for claim in d.claims if claim.claim in names)
+
+
 def lyapunov_step(d: Derivation) -> Step:
     """The Lyapunov function, LaSalle's set, the linearisation."""
     formulas = []
-    if d.law is not None and not isinstance(d.law, Integral):
+    passive = proved(d, "passive-output", "gradient-condition")
+    if d.law is not None and not isinstance(d.law, Integral) and passive:
         energy, change = ENERGY[d.law.name]
         formulas.append(Formula("Lyapunov function", energy))
         formulas.append(Formula("Its rate along the closed loop", change))
@@ -33,7 +40,10 @@ def lyapunov_step(d: Derivation) -> Step:
             )
         )
     text = "Near x* the loop is stable when the Lyapunov function has a minimum there and does not grow. "
-    if isinstance(d.law, Integral):
+    if not passive:
+        text = "Without a passive output, or where x* is no critical point, there is no Lyapunov function; the "
+        text += "linearisation decides, so the result is local. "
+    elif isinstance(d.law, Integral):
         text = "With the filter psi there is no Lyapunov function; the linearisation decides, so the result is local. "
     return Step(
         "stability",

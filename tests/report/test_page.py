@@ -4,10 +4,11 @@ import json
 import re
 from html.parser import HTMLParser
 
+import casadi as ca
 import pytest
 from shown_designs import circuit, circuit_page, refused
 
-from pbcgen import pipeline
+from pbcgen import AffineSystem, Design, DynamicExtension, Parameters, pipeline
 from pbcgen.control.attraction import Region
 from pbcgen.control.derive import derive
 from pbcgen.models.loader import load
@@ -175,6 +176,24 @@ def test_the_functions_of_the_header_are_shown():
 def test_the_feedthrough_of_the_output_is_stated():
     latex = {f.caption: f.latex for s in steps(circuit()[0].derivation) for f in s.formulas}
     assert latex["Feedthrough of the output: y contains w^T w u (ypas)"].endswith("= 0")
+
+
+def test_no_lyapunov_function_is_stated_without_a_passive_output():
+    """A synchronous motor loses power at the target; the linearisation alone proves the loop."""
+    i_d, i_q, w, v_d, v_q = (ca.SX.sym(name) for name in ("i_d", "i_q", "w", "v_d", "v_q"))
+    p = Parameters(L="8e-3", R="1.2", psi="0.48", n=4, J="1e-3", b="2e-3")
+    coils = [-p.R / p.L * i_d + p.n * w * i_q, -p.R / p.L * i_q - p.n * w * i_d - p.psi / p.L * w]
+    S = p.L * (i_d**2 + i_q**2) / 2 + p.J * w**2 / 2
+    g = [[1 / p.L, 0], [0, 1 / p.L], [0, 0]]
+    motor = AffineSystem([i_d, i_q, w], [v_d, v_q], [*coils, (p.psi * i_q - p.b * w) / p.J], g, S, parameters=p)
+    law = DynamicExtension(alpha=10, beta=1, K_c=5, R_c=1)
+    found = derive(Design(motor, {"w": 100, "i_d": 0}, law, sample_period="1e-4"))
+    verdicts = {claim.claim: claim.status for claim in found.claims}
+    assert verdicts["passive-output"] is not Status.PROVED
+    assert verdicts["asymptotically-stable"] is Status.PROVED
+    captions = {formula.caption for step in steps(found) for formula in step.formulas}
+    assert "Tried" in captions
+    assert not captions & {"Lyapunov function", "Its rate along the closed loop", "Passive output (ypas)"}
 
 
 def test_the_loss_of_a_circuit_is_a_short_sum_in_the_rates():
