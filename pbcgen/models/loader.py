@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
 import os
+import re
 import sys
 import tokenize
 from collections.abc import Iterator, Mapping
@@ -11,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import pbcgen
 from pbcgen.errors import ModelError, PbcgenError, Place
 from pbcgen.models.design import Design
 from pbcgen.models.expressions import suggestion
@@ -108,7 +111,17 @@ def _explained(error: BaseException, path: Path) -> PbcgenError:
         message = "the file ends the program (SystemExit): a model file only defines designs"
         return ModelError(message, call.place())
     last = (str(error).strip().splitlines() or ["no message"])[-1].strip()
-    return ModelError(f"{type(error).__name__}: {last}", call.named_in(last))
+    return ModelError(f"{type(error).__name__}: {last}{_what_it_takes(last)}", call.named_in(last))
+
+
+def _what_it_takes(message: str) -> str:
+    """The arguments of a class or function of pbcgen that was called with one it does not have, or without one."""
+    called = re.match(r"(\w+)(?:\.(\w+))?\(\) (?:got an unexpected keyword|missing \d)", message)
+    if called is None or called[1] not in pbcgen.__all__:
+        return ""
+    owner = getattr(pbcgen, called[1])
+    function = owner if called[2] in {None, "__init__"} else getattr(owner, called[2])
+    return f"; it takes {', '.join(inspect.signature(function).parameters)}"
 
 
 def _choose(variables: Mapping[str, Any], path: Path, wanted: str | None) -> Design:

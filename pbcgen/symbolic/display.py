@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from fractions import Fraction
 
 from flint import fmpq, fmpq_mpoly
 
 from pbcgen.symbolic.field import Field, Quotient
-from pbcgen.symbolic.real import fraction
+from pbcgen.symbolic.real import fraction, rational
+
+#: A ratio of numbers below this is shown as one, else as a decimal.
+_SHORT = 1000
 
 
 def number(value: Fraction, digits: int = 12) -> str:
@@ -76,15 +80,21 @@ class _Printer:
         if not product:
             return text
         for one, sign in (("1/", ""), ("-1/", "-")):
-            if text.startswith(one):
+            if text.startswith(one) and "*" not in _outside(text):
                 return f"{sign}{product}/{text[len(one) :]}"
-        return f"{text}*{product}"
+        return f"({text})*{product}" if " " in _outside(text) else f"{text}*{product}"
 
     def _ratio(self, numerator: fmpq_mpoly, denominator: fmpq_mpoly) -> str:
+        above, below = (fraction(fmpq(polynomial.factor()[0])) for polynomial in (numerator, denominator))
+        if below != 1:  # factors on both sides would hide how simple the ratio is
+            ratio = above / below
+            short = max(abs(ratio.numerator), ratio.denominator) < _SHORT
+            numerator *= rational((ratio.numerator if short else ratio) / above)
+            denominator *= rational((ratio.denominator if short else 1) / below)
         top = self._factored(numerator)
         if denominator.is_constant():
             return top
-        top = f"({top})" if " " in top and not top.startswith("(") else top
+        top = f"({top})" if " " in _outside(top) else top
         bottom = self._factored(denominator)
         simple = not any(sign in bottom for sign in "*/ ") or (
             bottom.startswith("(") and bottom.count("(") == 1 and bottom.endswith(")")
@@ -127,3 +137,11 @@ class _Printer:
         return "*".join(
             self.generator(k) if e == 1 else f"{self.generator(k)}^{e}" for k, e in enumerate(exponents) if e
         )
+
+
+def _outside(text: str) -> str:
+    """What stands outside of all brackets."""
+    inner = None
+    while inner != text:
+        inner, text = text, re.sub(r"\([^()]*\)", "", text)
+    return text
