@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import os
 import re
 import sys
 import textwrap
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any
+
+from pbcgen.models.exact import plain
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -55,7 +55,7 @@ def _rendered(outcome: Outcome) -> str:
 
 def print_document(document: Mapping[str, Any]) -> None:
     """Print one JSON document to standard output."""
-    print(json.dumps(_plain(document), indent=2, allow_nan=False))
+    print(json.dumps(plain(document), indent=2, allow_nan=False))
 
 
 def print_error(message: str, place: Place | None = None) -> None:
@@ -115,18 +115,3 @@ def progress(stage: str) -> Iterator[Callable[[str], None]]:
         delay.cancel()
         delay.join()
         status.stop()
-
-
-def _plain(value: Any) -> Any:
-    """The value with types that JSON knows: fractions as exact text, numbers that are not finite as null."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):  # NumPy
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, Fraction):
-        return str(value)
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

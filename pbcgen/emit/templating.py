@@ -1,4 +1,4 @@
-"""The Jinja2 environment: one, cached, strict about undefined names."""
+"""Jinja2 as the project uses it: strict about undefined names, and with line ends that do not depend on the machine."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ import pbcgen
 from pbcgen.errors import EmitError
 
 
-@cache
-def environment() -> jinja2.Environment:
-    """The environment of all templates."""
+def templates_in(folder: Path, *, html: bool = False) -> jinja2.Environment:
+    """A new environment for the templates of a folder; for HTML what is put in is escaped."""
     return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(template_directory(), encoding="utf-8"),
+        loader=jinja2.FileSystemLoader(folder, encoding="utf-8"),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
         newline_sequence="\n",
-        autoescape=False,
+        autoescape=html,
     )
 
 
@@ -39,5 +38,10 @@ def template_directory() -> Path:
 
 
 def fill(template: str, context: dict[str, Any]) -> str:
-    """The text of a template."""
-    return environment().get_template(template).render(context)
+    """The text of a template of the C package."""
+    return _package().get_template(template).render(context)
+
+
+@cache
+def _package() -> jinja2.Environment:
+    return templates_in(template_directory())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
+from collections.abc import Mapping
 from decimal import Decimal
 from fractions import Fraction
 from typing import Any
@@ -65,6 +66,21 @@ def rounded_down(value: Fraction, digits: int) -> Fraction:
     # A proposal of floating point a hair below a short decimal means that decimal.
     near = round(value / unit) * unit
     return near if abs(near - value) <= value / 10**11 else (value // unit) * unit
+
+
+def plain(value: Any) -> Any:
+    """The value with types that JSON knows: fractions as exact text, numbers that are not finite as null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):  # NumPy
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, Fraction):
+        return str(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 def _fraction(value: Any) -> Fraction | None:

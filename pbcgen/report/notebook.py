@@ -15,7 +15,7 @@ import jinja2
 import matplotlib as mpl
 
 from pbcgen.control.derive import Derivation
-from pbcgen.emit.templating import template_directory
+from pbcgen.emit.templating import template_directory, templates_in
 from pbcgen.models.design import Design
 from pbcgen.models.exact import decimal
 from pbcgen.passivity.plant import Plant
@@ -32,13 +32,7 @@ from pbcgen.report.sentence import meaning
 
 @cache
 def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(template_directory() / "report", encoding="utf-8"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=True,
-    )
+    environment = templates_in(template_directory() / "report", html=True)
     environment.filters |= {"formula": block_filter, "symbol": symbol_filter}
     environment.globals |= {"icons": ICONS, "meanings": MEANINGS, "counterexample": counterexample}
     return environment

@@ -18,7 +18,7 @@ from markupsafe import Markup
 import pbcgen
 from pbcgen.control.attraction import Region
 from pbcgen.emit import Package
-from pbcgen.emit.templating import template_directory
+from pbcgen.emit.templating import template_directory, templates_in
 from pbcgen.emit.wording import timing
 from pbcgen.models.exact import decimal
 from pbcgen.models.laws import gains
@@ -101,14 +101,7 @@ def page(
 
 @cache
 def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(template_directory() / "report", encoding="utf-8"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=True,
-    )
+    environment = templates_in(template_directory() / "report", html=True)
     environment.filters |= {"math": _math, "formula": block_filter, "symbol": symbol_filter, "figure": figure}
     environment.filters |= {"zip_names": _zip_names, "interval": _interval, "bounds": _interval}
     environment.globals |= {"asset": _asset, "icons": ICONS, "meanings": MEANINGS}

@@ -20,11 +20,12 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+from jinja2 import Template
 from numpy.typing import NDArray
 
 from pbcgen.emit.expressions import Graph, Printer
 from pbcgen.emit.literals import literal
+from pbcgen.emit.templating import templates_in
 from pbcgen.errors import ModelError, UnsupportedOperation
 from pbcgen.models.expressions import suggestion
 from pbcgen.run.trajectories import Loops, Scale, run_loops, trace
@@ -299,15 +300,7 @@ def _source(design: Design, loop: ClosedLoop, interface: Interface, frictions: S
 
 @cache
 def _template() -> Template:
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
-    return environment.get_template("loops.c.j2")
+    return templates_in(Path(__file__).parent).get_template("loops.c.j2")
 
 
 def _gradient(design: Design) -> list[ca.SX]:

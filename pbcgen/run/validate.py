@@ -17,6 +17,7 @@ from pbcgen.control.law import Fallback
 from pbcgen.control.step import ReferenceStep, StepStatus
 from pbcgen.emit.package import Provenance, render
 from pbcgen.errors import ToolchainError
+from pbcgen.models.exact import plain
 from pbcgen.run.agreement import Allowance
 from pbcgen.run.questions import memory, questions
 from pbcgen.run.simulate import (
@@ -180,10 +181,10 @@ class Validation:
             "sample_period": float(self.sample_period),
             "seed": self.seed,
             "passed": self.passed,
-            "agreement": _plain(asdict(self.agreement)),
-            "convergence": _plain(asdict(self.convergence)),
-            "outputs": [_plain(asdict(output)) for output in self.outputs],
-        } | ({} if self.settings is None else {"settings": _plain(asdict(self.settings))})
+            "agreement": plain(asdict(self.agreement)),
+            "convergence": plain(asdict(self.convergence)),
+            "outputs": [plain(asdict(output)) for output in self.outputs],
+        } | ({} if self.settings is None else {"settings": plain(asdict(self.settings))})
 
 
 def validate(
@@ -482,16 +483,3 @@ def _quotient(error: Array, unit: Array) -> Array:
 
 def _largest(values: Array) -> float:
     return float(values.max()) if values.size else 0.0
-
-
-def _plain(value: Any) -> Any:
-    """The value with types that JSON knows: fractions as exact text, numbers that are not finite as null."""
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, Fraction):
-        return str(value)
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
 from cffi import FFI
-from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+from jinja2 import Template
 from numpy.typing import ArrayLike, NDArray
 
 from pbcgen.control.rounding import DTYPES
 from pbcgen.emit.package import MANIFEST
+from pbcgen.emit.templating import templates_in
 from pbcgen.errors import ModelError, ToolchainError
 from pbcgen.run.toolchain import STRICT_FLAGS, Compiler, find_compiler
 
@@ -388,15 +389,7 @@ def _driver(interface: Interface) -> str:
 
 @cache
 def _template() -> Template:
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
-    return environment.get_template("driver.c.j2")
+    return templates_in(Path(__file__).parent).get_template("driver.c.j2")
 
 
 def _load(ffi: FFI, library: Path) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Set
 from fractions import Fraction
 
 from flint import fmpq, fmpq_mpoly
@@ -28,6 +28,30 @@ def formula(function: Quotient, parameters: Iterable[int] = ()) -> str:
     return _Printer(function.field, frozenset(parameters)).function(function)
 
 
+def by_states(function: Quotient, parameters: Set[int]) -> dict[tuple[int, ...], Quotient] | None:
+    """The coefficient of each power product of states and atoms, a function of the parameters alone.
+
+    Args:
+        function: what is taken apart.
+        parameters: symbols, and atoms, that belong to the coefficients.
+
+    Returns:
+        Coefficients by the exponents of their products; None where the denominator holds a state.
+    """
+    field = function.field
+    if any(degree and k not in parameters for k, degree in enumerate(function.denominator.degrees())):
+        return None
+    groups: dict[tuple[int, ...], dict[tuple[int, ...], fmpq]] = {}
+    for raw, coefficient in function.numerator.to_dict().items():
+        exponents = tuple(int(e) for e in raw)
+        state = tuple(0 if k in parameters else e for k, e in enumerate(exponents))
+        rest = tuple(e if k in parameters else 0 for k, e in enumerate(exponents))
+        groups.setdefault(state, {})[rest] = coefficient
+    return {
+        state: field.quotient(field.context.from_dict(terms), function.denominator) for state, terms in groups.items()
+    }
+
+
 class _Printer:
     """Prints the functions of one field."""
 
@@ -48,21 +72,12 @@ class _Printer:
     def function(self, function: Quotient) -> str:
         if function.is_zero():
             return "0"
-        state_in_denominator = any(
-            degree and k not in self.parameters for k, degree in enumerate(function.denominator.degrees())
-        )
-        if state_in_denominator:
+        groups = by_states(function, self.parameters)
+        if groups is None:
             return self._ratio(function.numerator, function.denominator)
-        groups: dict[tuple[int, ...], dict[tuple[int, ...], fmpq]] = {}
-        for raw, coefficient in function.numerator.to_dict().items():
-            exponents = tuple(int(e) for e in raw)
-            state = tuple(0 if k in self.parameters else e for k, e in enumerate(exponents))
-            rest = tuple(e if k in self.parameters else 0 for k, e in enumerate(exponents))
-            groups.setdefault(state, {})[rest] = coefficient
         terms = []
         for state in sorted(groups, key=lambda e: (sum(e) == 0, [-x for x in e])):
-            coefficient = self.field.quotient(self.field.context.from_dict(groups[state]), function.denominator)
-            terms.append(self._term(coefficient, self._power_product(state)))
+            terms.append(self._term(groups[state], self._power_product(state)))
         text = terms[0]
         for term in terms[1:]:
             text += f" - {term[1:]}" if term.startswith("-") else f" + {term}"

@@ -18,6 +18,7 @@ import sympy
 from flint import fmpq, fmpq_mpoly
 from sympy.printing.latex import LatexPrinter
 
+from pbcgen.symbolic.display import by_states
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.real import fraction
 from pbcgen.symbolic.tape import Matrix, Tape
@@ -281,20 +282,12 @@ class _Exact:
         return self._generators[k]
 
     def function(self, function: Quotient) -> Any:
-        denominator = function.denominator
-        if any(degree and k not in self.parameters for k, degree in enumerate(denominator.degrees())):
-            return self._ratio(function.numerator, denominator)
-        groups: dict[tuple[int, ...], dict[tuple[int, ...], fmpq]] = {}
-        for raw, coefficient in function.numerator.to_dict().items():
-            exponents = tuple(int(e) for e in raw)
-            state = tuple(0 if k in self.parameters else e for k, e in enumerate(exponents))
-            rest = tuple(e if k in self.parameters else 0 for k, e in enumerate(exponents))
-            groups.setdefault(state, {})[rest] = coefficient
+        groups = by_states(function, self.parameters)
+        if groups is None:
+            return self._ratio(function.numerator, function.denominator)
         total: Any = sympy.Integer(0)
-        for state, terms in sorted(groups.items()):
-            coefficient_function = self.field.quotient(self.field.context.from_dict(terms), denominator)
-            ratio = self._ratio(coefficient_function.numerator, coefficient_function.denominator)
-            total += ratio * self._power_product(state)
+        for state, coefficient in sorted(groups.items()):
+            total += self._ratio(coefficient.numerator, coefficient.denominator) * self._power_product(state)
         return total
 
     def _ratio(self, numerator: fmpq_mpoly, denominator: fmpq_mpoly) -> Any:
