@@ -190,15 +190,13 @@ class HessianVerdict:
         smallest_eigenvalue: of hess S_d at x*.
         alpha_beta_min: the diagonal of the smallest multiple of diag(alpha beta) that meets the Hessian condition,
             zeros if every positive one does, None if none does.
-        kc_bound: A N^T H^-1 N A - A, which K_c must exceed (any K_c > 0 if negative semidefinite).
-        kc_min: the smallest k with K_c = k I meeting the bound.
+        kc_min: the smallest k with K_c = k I above A N^T H^-1 N A - A, which K_c must exceed.
     """
 
     hessian: Claim
     kc: Claim
     smallest_eigenvalue: float
     alpha_beta_min: tuple[float, ...] | None
-    kc_bound: RealMatrix | None
     kc_min: float | None
 
 
@@ -216,9 +214,7 @@ def hessian_conditions(
         kc = _kc_claim(shape, stiffness, bound, K_c)
     minimum = None if threshold is None else tuple(threshold * float(v) for v in alpha_beta)
     kc_min = None if bound is None else max(0.0, eigenvalues(bound)[-1])
-    return HessianVerdict(
-        _hessian_claim(plant, verdict, smallest, minimum, alpha_beta), kc, smallest, minimum, bound, kc_min
-    )
+    return HessianVerdict(_hessian_claim(plant, verdict, smallest, minimum, alpha_beta), kc, smallest, minimum, kc_min)
 
 
 def _hessian_claim(

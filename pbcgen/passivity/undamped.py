@@ -201,10 +201,7 @@ class _Planes:
         """What must vanish on the plane, as exact functions of the free states."""
         plant, n = self.plant, self.plant.system.n
         x, solved = plant.system.x, plane.solved(plant, self.star)
-        F = self.drift
-        across = [
-            F[p] - sum((plant.number(c) * F[f] for f, c in row.items()), ca.SX(0)) for p, row in plane.rows.items()
-        ]
+        across = [self._across(p, row) for p, row in plane.rows.items()]
         at_star = ca.vertcat(*self.star[:n])
         kept = ca.vertcat(ca.SX(0, 1), *across, self.still)
         column = ca.vertcat(kept - ca.substitute(kept, x, at_star), self.loss)
