@@ -51,7 +51,7 @@ def resting_point(plant: SymbolicPlant, equations: ca.SX) -> RestingPoint | None
             if found is None:
                 return None
             k, value = found
-            expression = plant.expression(value)
+            expression = plant.expression(value, alone=True)
             solved = {j: ca.substitute(e, symbols[k], expression) for j, e in solved.items()} | {k: expression}
         solution = ca.vertcat(*[solved[k] for k in range(len(symbols))])
         field, (rest, values) = plant.exact(_put_in(equations, symbols, solved), solution)

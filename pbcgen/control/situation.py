@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,8 +25,7 @@ from pbcgen.passivity.undamped import Plane, undamped_plane
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.spectrum import Stability, hurwitz
 from pbcgen.symbolic.linear import Inconsistent
-from pbcgen.symbolic.real import Real, approximate, fraction
-from pbcgen.symbolic.tape import exact_decimal
+from pbcgen.symbolic.real import Real, fraction
 
 #: Loops of more states are linearised only where the storage leaves a claim open: that takes dense matrices.
 LARGEST_LINEARISED = 50
@@ -170,30 +169,20 @@ class Situation:
         return self.bounds is not None and theta_is_strict(self.bounds, self.base)
 
     def at_target(self, *functions: ca.SX) -> InvariantSet | None:
-        """The invariant set with u = u* and ``functions`` at their values of x*; None when those are not decimals."""
+        """The invariant set with u = u* and ``functions`` at their values of x*; None when those are not exact."""
         inputs: list[Real] = [fmpq(0)] * len(self.point.u) if self.compensation is not None else list(self.point.u)
-        fixed = [_decimal(v) for v in inputs]
-        start = self.flow
-        if start is None or any(v is None for v in fixed):
+        start, fixed = self.flow, self._numbers(inputs)
+        values = [row[0] for function in functions for row in self.plant.at(self.point, function)[0]]
+        known = self._numbers(values)
+        if start is None or fixed is None or known is None:
             return None
-        equations = []
-        for function in functions:
-            (values,) = self.plant.at(self.point, function)
-            for expression, row in zip(ca.vertsplit(function), values, strict=True):
-                value = _decimal(row[0])
-                if value is None:
-                    return None
-                equations.append(expression - value)
         try:
-            at_rest = ca.SX(ca.DM([v for v in fixed if v is not None]))
-            return invariant_set(start, at_rest, ca.vertcat(*equations))
+            return invariant_set(start, fixed, ca.vertcat(*functions) - known)
         except (UnsupportedOperation, ZeroDivisionError, Inconsistent):
             return None
 
-
-def _decimal(value: Real) -> float | None:
-    """The double that denotes the exact number, or None."""
-    if not isinstance(value, fmpq):
-        return None
-    rounded = approximate(value)
-    return rounded if exact_decimal(rounded) == fraction(value) else None
+    def _numbers(self, values: Sequence[Real]) -> ca.SX | None:
+        """Exact values as a column that may be put into expressions, or None when one is not exact."""
+        exact = [fraction(v) for v in values if isinstance(v, fmpq)]
+        column = ca.vertcat(*[self.plant.number(v, alone=True) for v in exact])
+        return ca.SX(column) if len(exact) == len(values) else None

@@ -119,9 +119,9 @@ class _Elimination:
         return field_, functions
 
     def to_sx(self, element: Quotient) -> ca.SX:
-        """An exact function as an expression."""
+        """An exact function as an expression, which may be put in for a variable."""
         plant = self.flow.plant
-        return element.field.to_sx(element, [*self.symbols, *plant.parameter_list], plant.number)
+        return element.field.to_sx(element, [*self.symbols, *plant.parameter_list], plant.number, alone=True)
 
     # --- one equation ---------------------------------------------------------------------------------------------
 

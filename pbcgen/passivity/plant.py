@@ -107,16 +107,17 @@ class Plant:
         values = self.values
         return tuple(values[name] for name in self.parameter_names)
 
-    def number(self, value: Fraction) -> ca.SX:
+    def number(self, value: Fraction, alone: bool = False) -> ca.SX:
         """An exact number for use in expressions.
 
         CasADi adds and multiplies constants in doubles: 0.7 + 0.1 is not 0.8 then. So only fractions
-        of few bits, with which this is exact, stay numbers; others become symbols with this value.
+        of few bits, with which this is exact, stay numbers; others become symbols with this value. So do those
+        ``alone``, which may be put into a function: sin(2) would be a double too.
         """
-        if is_short(value):
+        if value == 0 or (is_short(value) and not alone):
             return ca.SX(float(value))
         if value < 0:
-            return -self.number(-value)
+            return -self.number(-value, alone)
         if value not in self._constants:
             self._constants[value] = ca.SX.sym(_constant_name(value))
         return self._constants[value]
@@ -130,9 +131,9 @@ class Plant:
         """Another system, whose parameters stay symbols; it knows the constants made by :meth:`number` so far."""
         return SymbolicPlant(system, dict(self._constants))
 
-    def expression(self, element: Quotient) -> ca.SX:
-        """An exact function of this plant's symbols as an SX expression."""
-        return element.field.to_sx(element, [*self._fixed[0], *self.parameter_list], self.number)
+    def expression(self, element: Quotient, alone: bool = False) -> ca.SX:
+        """An exact function of this plant's symbols as an SX expression; ``alone``: to be put in for a variable."""
+        return element.field.to_sx(element, [*self._fixed[0], *self.parameter_list], self.number, alone)
 
     @cached_property
     def is_continuous(self) -> bool:
@@ -231,8 +232,9 @@ class SymbolicPlant(Plant):
         own = {name: parameters.values[name] for name in sorted(parameters.numbers)}
         return {**own, **{_constant_name(value): value for value in self._constants}}
 
-    def number(self, value: Fraction) -> ca.SX:
-        """An exact number: a symbol, so that CasADi computes no sums, sines or roots of it in doubles."""
+    def number(self, value: Fraction, alone: bool = False) -> ca.SX:
+        """An exact number: a symbol in any case, so that CasADi computes no sums, sines or roots of it in doubles."""
+        del alone
         if value == 0:
             return ca.SX(0)
         if value not in self._constants:

@@ -267,7 +267,7 @@ class _Elimination:
 
     def _expression(self, field: Field, element: Quotient) -> ca.SX:
         known = [s for column in self.plant.symbols for s in ca.vertsplit(column) if column.numel()]
-        return field.to_sx(element, [*known, *ca.vertsplit(self.symbols)], self.plant.number)
+        return field.to_sx(element, [*known, *ca.vertsplit(self.symbols)], self.plant.number, alone=True)
 
     def _put(self, name: str, solution: ca.SX) -> None:
         symbol = self.unknowns[name]

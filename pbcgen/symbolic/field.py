@@ -439,17 +439,23 @@ class Field:
     # --- back to CasADi -----------------------------------------------------------------------------------
 
     def to_sx(
-        self, element: Quotient, symbols: Sequence[ca.SX], number: Callable[[Fraction], ca.SX] | None = None
+        self,
+        element: Quotient,
+        symbols: Sequence[ca.SX],
+        number: Callable[[Fraction, bool], ca.SX] | None = None,
+        alone: bool = False,
     ) -> ca.SX:
         """The element as an SX expression of ``symbols``, which stand for the field's symbols in order.
 
         Args:
             element: of this field.
             symbols: at least one for each symbol of the field.
-            number: makes an SX of a coefficient. By default a coefficient must be a decimal of double length, because
-                CasADi would round another one; else UnsupportedOperation is raised.
+            number: makes an SX of a coefficient, or (True) of a number that a function is taken of, which CasADi must
+                not compute. By default a coefficient must be a decimal of double length, because CasADi would
+                round another one, and functions of numbers must not occur; else UnsupportedOperation is raised.
+            alone: whether the result may be put in for a variable, and so become the argument of a function.
         """
-        return as_expression(self, element, symbols, number)
+        return as_expression(self, element, symbols, number, alone)
 
 
 def evaluate(

@@ -47,7 +47,7 @@ def continued(
     inputs: Sequence[ca.SX],
     names: Sequence[str],
     values: Mapping[str, Fraction],
-    number: Callable[[Fraction], ca.SX],
+    number: Callable[[Fraction, bool], ca.SX],
 ) -> list[ca.SX]:
     """Derivatives with every sign(a) read as |a| / a and cancelled; those that cannot be expanded stay as they are.
 

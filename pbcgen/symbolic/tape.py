@@ -199,7 +199,10 @@ class Tape:
                 entries[output][positions[output][nonzero]] = register[operands[0]]
                 continue
             if code == ca.OP_CONST:
-                instruction: Instruction = Constant(exact_decimal(function.instruction_constant(k)))
+                number = function.instruction_constant(k)
+                if not math.isfinite(number):
+                    raise UnsupportedOperation("a formula that was derived is not defined at the numbers put into it")
+                instruction: Instruction = Constant(exact_decimal(number))
             elif code == ca.OP_INPUT:
                 instruction = Input(operands[0], operands[1])
             elif code in OPERATIONS:

@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 
 
 def as_expression(
-    field: Field, element: Quotient, symbols: Sequence[ca.SX], number: Callable[[Fraction], ca.SX] | None
+    field: Field,
+    element: Quotient,
+    symbols: Sequence[ca.SX],
+    number: Callable[[Fraction, bool], ca.SX] | None,
+    alone: bool,
 ) -> ca.SX:
     """See :meth:`Field.to_sx`."""
     make = number or _decimal_number
@@ -30,7 +34,7 @@ def as_expression(
             return symbols[k]
         if k not in cache:
             atom = field.atoms[k]
-            cache[k] = getattr(ca, atom.kind)(expression(atom.argument))
+            cache[k] = getattr(ca, atom.kind)(expression(atom.argument, True))
         return cache[k]
 
     def polynomial(p: fmpq_mpoly) -> ca.SX:
@@ -39,22 +43,25 @@ def as_expression(
             factors = [generator(k) if e == 1 else generator(k) ** e for k, e in powers]
             value = fraction(coefficient)
             if not factors:
-                total = total + make(value)
+                total = total + make(value, False)
                 continue
             product = factors[0]
             for factor in factors[1:]:
                 product = product * factor
-            total = total + (product if value == 1 else -product if value == -1 else make(value) * product)
+            total = total + (product if value == 1 else -product if value == -1 else make(value, False) * product)
         return total
 
-    def expression(q: Quotient) -> ca.SX:
+    def expression(q: Quotient, argument: bool) -> ca.SX:
+        constant = q.constant() if argument else None
+        if constant is not None:
+            return make(fraction(constant), True)
         top = polynomial(q.numerator)
         return top if q.is_polynomial() else top / polynomial(q.denominator)
 
-    return expression(element)
+    return expression(element, alone)
 
 
-def _decimal_number(value: Fraction) -> ca.SX:
-    if exact_decimal(float(value)) != value:
+def _decimal_number(value: Fraction, argument: bool) -> ca.SX:
+    if argument or exact_decimal(float(value)) != value:
         raise UnsupportedOperation(f"the number {value} is no decimal of double length")
     return ca.SX(float(value))

@@ -164,12 +164,30 @@ def test_a_coefficient_that_casadi_would_round_does_not_go_back_unnoticed():
         field.to_sx(third, ca.vertsplit(x))
     kept = []
 
-    def number(coefficient):
-        kept.append(coefficient)
+    def number(value, inside):
+        kept.append((value, inside))
         return ca.SX.sym("c")
 
     field.to_sx(third, ca.vertsplit(x), number)
-    assert kept == [Fraction(1, 3)]
+    assert kept == [(Fraction(1, 3), False)]
+
+
+def test_a_function_of_a_number_is_not_computed_by_casadi():
+    """exp(2) is no double; neither is sin(2) if 2 is put in for x of sin(x) later."""
+    x = ca.SX.sym("x", 2)
+    field, (result,) = evaluate(Tape.of([x], [ca.exp(x[1]) * x[0]]), NAMES[:2], {NAMES[1]: Fraction(2)})
+    value = result.scalar(field.const(0))
+    with pytest.raises(UnsupportedOperation, match="number 2"):
+        field.to_sx(value, ca.vertsplit(x))
+    made = []
+
+    def number(value, inside):
+        made.append((value, inside))
+        return ca.SX.sym("c") if inside else ca.SX(float(value))
+
+    field.to_sx(value, ca.vertsplit(x), number)
+    assert made == [(Fraction(2), True)]
+    assert field.to_sx(field.const(2), ca.vertsplit(x), number, alone=True).is_symbolic()
 
 
 def test_numbers_know_that_they_are_constant():
