@@ -78,7 +78,11 @@ def test_other_divisors_with_moduli_are_kept(divisor):
 
 def test_a_derivative_is_written_without_signs_where_it_is_continuous():
     smooth, kinked = continued(
-        [ca.jacobian(V * ca.fabs(V), V), ca.jacobian(ca.fabs(V), V)], [V, W], ["v", "w"], {}, lambda c: ca.SX(float(c))
+        [ca.jacobian(V * ca.fabs(V), V), ca.jacobian(ca.fabs(V), V)],
+        [V, W],
+        ["v", "w"],
+        {},
+        lambda c, _: ca.SX(float(c)),
     )
     values = ca.Function("f", [V], [smooth, kinked])
     assert float(values(-0.5)[0]) == 1
