@@ -185,8 +185,9 @@ def _remarks(simulation: Simulation) -> list[str]:
 
 def _show(console: Console, simulation: Simulation, plot: Path | None) -> None:
     design, sampled = simulation.report.design, simulation.sampled
+    late = f", outputs {float(design.delay):g} steps late" if design.delay else ""
     console.print(
-        f"{design.name}: {sampled.times[-1]:g} s in steps of {float(design.sample_period):g} s\n", style="bold"
+        f"{design.name}: {sampled.times[-1]:g} s in steps of {float(design.sample_period):g} s{late}\n", style="bold"
     )
     console.print(_table(["state", "start", "target", "end", "end, continuous law"], _states(simulation)))
     console.print()
