@@ -191,7 +191,7 @@ def region(report: Report, boxes: int | None = None, progress: Progress = None) 
     return region_of_attraction(
         situation,
         claims["stable"].method == LYAPUNOV,
-        claims["globally-asymptotically-stable"].status is Status.PROVED,
+        claims["globally-asymptotically-stable"].holds_everywhere,
         boxes or BOXES,
         progress,
     )

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+
+import casadi as ca
 
 from pbcgen.control.only_rest import only_rest, storage_is_convex
 from pbcgen.control.other_rest import other_rest
 from pbcgen.control.situation import Situation
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.models.affine import AffineSystem
 from pbcgen.models.laws import Integral, NaturalDamping
 from pbcgen.passivity.construction import drift_by_construction
 from pbcgen.passivity.inertia import missing_for_definiteness
+from pbcgen.passivity.passive_output import PassiveOutput, find
+from pbcgen.passivity.plant import Plant, Point
+from pbcgen.passivity.region import Region
+from pbcgen.passivity.storage import assumption_1
 from pbcgen.passivity.unbounded import Growth, radially_unbounded
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.known import ENTIRE_KINDS
 from pbcgen.proof.nonnegative import positive
-from pbcgen.symbolic.real import Real, approximate, text
+from pbcgen.symbolic.real import BITS, REAL, Real, approximate, precision, rational, text
+from pbcgen.symbolic.tape import exact_decimal
 
 #: Functions that are so for every positive argument.
 _POSITIVE_ARGUMENT = frozenset({"sqrt", "log"})
@@ -28,6 +37,8 @@ def globally(situation: Situation, by_lyapunov: bool, asymptotic: Claim, stored:
             Status.REFUTED, asymptotic.method, asymptotic.evidence, asymptotic.hint, asymptotic.counterexample
         )
     proved_or_open = stored or by_storage(situation, by_lyapunov)
+    if proved_or_open.status is not Status.PROVED and by_lyapunov:
+        proved_or_open = _inside_half_lines(situation) or proved_or_open
     if proved_or_open.status is Status.PROVED:
         return proved_or_open
     found = other_rest(situation)
@@ -138,6 +149,75 @@ def _to_grow(situation: Situation) -> str:
     weak = [a for a, u in zip(alpha, situation.point.u, strict=True) if a <= abs(approximate(u))]
     rely = "rely on the local claim; `pbcgen region` finds states from where the loop certainly settles"
     return f"raise alpha above |kappa|, or {rely}" if weak and situation.compensation is None else rely
+
+
+def _inside_half_lines(situation: Situation) -> Claim | None:
+    """PROVED for all states inside the domain, where that bounds states on one side only; or None.
+
+    ``x_k = a_k + exp(z_k)``, or ``b_k - exp(z_k)``, maps the whole space one-to-one on ``x_k > a_k``, or ``x_k < b_k``,
+    smoothly both ways. The closed loop in z is the same one, with the same gamma, and z* is as critical a point of the
+    storage as x* is. So what holds for all z holds for all x inside: no trajectory reaches the boundary, because the
+    storage, being radially unbounded in z, grows without bound there.
+    """
+    inside = _in_logarithms(situation)
+    if inside is None:
+        return None
+    try:
+        claim = by_storage(inside, by_lyapunov=True)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return None
+    if claim.status is not Status.PROVED:
+        return None
+    text_ = Region.stated(situation.plant).text.replace(">=", ">").replace("<=", "<")
+    evidence = f"in coordinates z with x_k = a_k + exp(z_k), or b_k - exp(z_k), where x_k is bounded: {claim.evidence}"
+    return replace(claim, domain=text_, evidence=evidence)
+
+
+def _in_logarithms(situation: Situation) -> Situation | None:
+    """The situation in these coordinates, with Assumptions 1 and 2 proved for all z; or None."""
+    plant, system, point = situation.plant, situation.plant.system, situation.point
+    if not system.domain or isinstance(situation.base, NaturalDamping) or situation.compensation is not None:
+        return None
+    z, x, rates, star = [], [], [], []  # type: list[ca.SX], list[ca.SX], list[ca.SX], list[Real]
+    for name, value in zip(system.state_names, point.x, strict=True):
+        lo, hi = system.domain.get(name, (None, None))
+        end = lo if hi is None else hi
+        if (lo is not None and hi is not None) or (end is not None and exact_decimal(float(end)) != end):
+            return None
+        side = 1 if hi is None else -1
+        z.append(ca.SX.sym(name if end is None else f"ln_{name}"))
+        x.append(z[-1] if end is None else ca.SX(float(end)) + side * ca.exp(z[-1]))
+        rates.append(ca.SX(1) if end is None else side * ca.exp(-z[-1]))
+        with precision(BITS):
+            star.append(value if end is None else REAL.log((value - rational(end)) * side))
+    gamma = _with_decimals(plant, situation.gamma)
+    if gamma is None:
+        return None
+    f, g, S, gamma = (ca.substitute(e, system.x, ca.vertcat(*x)) for e in (system.f, system.g, system.S, gamma))
+    by = ca.diag(ca.vertcat(*rates))
+    inside = Plant(AffineSystem(z, system.u, by @ f, by @ g, S, parameters=system.parameters, gamma=gamma))
+    storage = assumption_1(inside)
+    output = find(inside, storage.structure, storage.proved, storage.by_structure) if storage.proved else None
+    if not isinstance(output, PassiveOutput):
+        return None
+    found = {**situation.found, "assumption-1": storage.claim, "passive-output": output.claim}
+    if any(claim.status is not Status.PROVED for claim in (storage.claim, output.claim)):
+        return None
+    structure = storage.structure if output.matched else None
+    at = Point(tuple(star), point.u)
+    return replace(situation, plant=inside, point=at, gamma=output.gamma, structure=structure, found=found)
+
+
+def _with_decimals(plant: Plant, expression: ca.SX) -> ca.SX | None:
+    """The expression with decimals for the constants that the plant has made; None where one is none."""
+    names = plant.parameter_names[len(plant.system.parameters) :]
+    values = [plant.values[name] for name in names]
+    if any(exact_decimal(float(v)) != v for v in values):
+        return None if ca.depends_on(expression, plant.parameter_symbols) else expression
+    made = plant.parameter_list[len(plant.parameter_list) - len(values) :]
+    return (
+        ca.substitute(expression, ca.vertcat(*made), ca.SX(ca.DM([float(v) for v in values]))) if made else expression
+    )
 
 
 def _second(situation: Situation, x: list[Real]) -> Claim:

@@ -11,6 +11,7 @@ So it is enough that the left side is never negative, and that U and gamma fix t
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import casadi as ca
 from flint import fmpq
@@ -23,10 +24,16 @@ from pbcgen.passivity.coordinates import injective
 from pbcgen.passivity.inertia import missing_for_definiteness
 from pbcgen.passivity.lasalle import InvariantSet
 from pbcgen.passivity.unbounded import currents, depends_on_currents
+from pbcgen.proof.claim import Status
+from pbcgen.proof.definite import positive_definite
 from pbcgen.proof.elimination import semidefinite
 from pbcgen.proof.nonnegative import nonnegative, positive
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
+from pbcgen.symbolic.real import lower, upper
+
+#: Convexity with kappa in an enclosure is looked at for so many inputs.
+_MOST_FORCES = 4
 
 
 def only_rest(situation: Situation) -> str | None:
@@ -89,7 +96,29 @@ def storage_is_convex(situation: Situation) -> bool:
         return False
     if mechanics is not None and (ca.depends_on(situation.gamma, mechanics.p) or missing_for_definiteness(plant)):
         return False
-    return _is_convex(situation)
+    return _is_convex(situation) or _is_convex_with_its_force(situation)
+
+
+def _is_convex_with_its_force(situation: Situation) -> bool:
+    """Whether ``S + kappa^T gamma`` is convex, with a strict minimum at x*; what else is stored is not negative.
+
+    Its Hessian is affine in kappa, so it is enough to look at the corners of an enclosure of kappa.
+    """
+    plant, mechanics = situation.plant, situation.plant.system.mechanical
+    energy, variables = (plant.system.S, plant.system.x) if mechanics is None else (mechanics.V, mechanics.q)
+    if len(situation.point.u) > _MOST_FORCES:
+        return False
+    for corner in product(*[{-lower(u), -upper(u)} for u in situation.point.u]):
+        kappa = ca.vertcat(*map(plant.number, corner))
+        hessian = ca.hessian(energy + ca.dot(kappa, situation.gamma), variables)[0]
+        try:
+            _, (exact,) = plant.exact(hessian)
+            (at_star,) = plant.at(situation.point, hessian)
+        except (UnsupportedOperation, ZeroDivisionError):
+            return False
+        if positive_definite(at_star).status is not Status.PROVED or not semidefinite(exact.rows()):
+            return False
+    return True
 
 
 def _is_convex(situation: Situation) -> bool:

@@ -143,7 +143,7 @@ def verdict(routes: Routes, asymptotic: Claim, overall: Claim, change: GainChang
     here = routes.spectral
     by_spectrum = _SPECTRAL_LARGE if here is not None and here.lyapunov is not None else _SPECTRAL
     lyapunov = routes.by_lyapunov and asymptotic.status is Status.PROVED
-    whole = lyapunov and overall.status is Status.PROVED
+    whole = lyapunov and overall.holds_everywhere
     domain = "sampled loop, all x" if whole else "sampled loop"
     evidence = "; ".join(_evidence(routes))
     if spectral or lyapunov:

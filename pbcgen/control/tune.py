@@ -263,9 +263,9 @@ def _region(derived: Derivation, route: Route) -> tuple[Region | None, str]:
     """The largest region that is certified: a level set of the storage, else an ellipsoid of the linearisation."""
     claims = {c.claim: c for c in derived.claims}
     if derived.situation is not None:
-        everywhere = claims["globally-asymptotically-stable"].status is Status.PROVED
+        whole = claims["globally-asymptotically-stable"].holds_everywhere
         by_storage = claims["stable"].method == LYAPUNOV
-        found = region_of_attraction(derived.situation, by_storage, everywhere, _REGION_BOXES)
+        found = region_of_attraction(derived.situation, by_storage, whole, _REGION_BOXES)
         if found.status is Status.PROVED:
             return None, f"region of attraction (continuous loop): {found.evidence}"
     if route == "linearisation":

@@ -76,10 +76,11 @@ def never_zero(element: Quotient) -> bool:
     return positive(element) or positive(-element)
 
 
-def linear_in(element: Quotient, k: int, variables: int | None = None) -> Quotient | None:
+def linear_in(element: Quotient, k: int, variables: int | None = None, units: bool = False) -> Quotient | None:
     """The rest of ``element = c (v_k + rest)`` with v_k nowhere else and c never zero, or None.
 
-    c is a number, or a function of the symbols after the first ``variables`` where these are parameters.
+    c is a number, or a function of the symbols after the first ``variables`` where these are parameters; with ``units``
+    a number times powers of exponentials, too.
     """
     field_ = element.field
     slope: dict[Exponents, fmpq] = {}
@@ -97,9 +98,18 @@ def linear_in(element: Quotient, k: int, variables: int | None = None) -> Quotie
     known = coefficient.constant()
     if known is not None:
         return None if known == 0 else field_.polynomial(field_.context.from_dict(rest) / known)
+    if units and _is_unit(coefficient):
+        return field_.polynomial(field_.context.from_dict(rest)) / coefficient
     if variables is None or any(j < variables for j in coefficient.symbols()) or not never_zero(coefficient):
         return None
     return field_.polynomial(field_.context.from_dict(rest)) / coefficient
+
+
+def _is_unit(value: Quotient) -> bool:
+    """Whether this is a number times powers of exponentials."""
+    terms = value.numerator.to_dict()
+    used = {k for exponents in terms for k, e in enumerate(exponents) if e}
+    return len(terms) == 1 and all(k in value.field.atoms and value.field.atoms[k].kind == "exp" for k in used)
 
 
 def affine(value: Quotient, count: int) -> Row | None:

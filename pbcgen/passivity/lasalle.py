@@ -142,7 +142,7 @@ class _Elimination:
     def _solve(self, factor: Quotient) -> bool:
         """Eliminate a variable from ``factor = 0``."""
         for k in self._order(factor):
-            rest = linear_in(factor, k, len(self.symbols))
+            rest = linear_in(factor, k, len(self.symbols), units=True)
             if rest is None:
                 continue
             value = self.to_sx(-rest)

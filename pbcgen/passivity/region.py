@@ -11,6 +11,7 @@ import casadi as ca
 from pbcgen.models.exact import decimal
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.branch import Budget, OnBox
+from pbcgen.proof.claim import EVERYWHERE
 from pbcgen.proof.nonnegative import Everywhere, Prover
 from pbcgen.proof.refute import Search, refute
 from pbcgen.proof.seeker import Question
@@ -19,8 +20,6 @@ from pbcgen.symbolic.real import BITS, ZERO, Real, precision
 
 Interval = tuple[Fraction | None, Fraction | None]
 
-#: The domain of claims that hold on the whole space.
-EVERYWHERE = "all x"
 #: Arguments of these must be positive for a smooth value.
 _POSITIVE_ARGUMENT = frozenset({"log", "sqrt"})
 #: Arguments of these must lie in (-1, 1).

@@ -54,6 +54,10 @@ ELSEWHERE = ("mend", "satisfy")
 NOT_REACHED = "not reached"
 
 
+#: The domain of claims that hold on the whole space.
+EVERYWHERE = "all x"
+
+
 @dataclass(frozen=True)
 class Claim:
     """One claim with its verdict.
@@ -83,6 +87,11 @@ class Claim:
             raise ValueError(f"unknown claim `{self.claim}`")
         if self.status is Status.REFUTED and self.counterexample is None:
             raise ValueError(f"`{self.claim}` is REFUTED without a counterexample")
+
+    @property
+    def holds_everywhere(self) -> bool:
+        """Whether it is PROVED on the whole space."""
+        return self.status is Status.PROVED and self.domain == EVERYWHERE
 
     def as_json(self) -> dict[str, Any]:
         """The entry of this claim in ``pbcgen check --json``."""

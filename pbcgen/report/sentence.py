@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pbcgen.proof.claim import NOT_REACHED, Claim, Status
+from pbcgen.proof.claim import EVERYWHERE, NOT_REACHED, Claim, Status
 
 if TYPE_CHECKING:
     from pbcgen.pipeline import Report
@@ -29,9 +29,11 @@ WITHOUT = {
 def meaning(report: Report) -> str:
     """The verdicts in one sentence."""
     if report.emittable and "globally-asymptotically-stable" in _proved(report):
-        domain = next(c.domain for c in report.claims if c.claim == "sampled-stable")
-        sampled = "sampled too" if "all x" in domain else "sampled from nearby"
-        return f"Proved: the loop settles at x* from everywhere, {sampled}, within its limits."
+        domains = {c.claim: c.domain for c in report.claims}
+        whole = domains["globally-asymptotically-stable"]
+        start = "everywhere" if whole == EVERYWHERE else f"every state with {whole}"
+        sampled = "sampled too" if EVERYWHERE in domains["sampled-stable"] else "sampled from nearby"
+        return f"Proved: the loop settles at x* from {start}, {sampled}, within its limits."
     if report.emittable:
         return "Proved: from nearby the loop settles at x*, sampled too, within its limits."
     if report.unwritable:

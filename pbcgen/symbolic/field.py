@@ -382,7 +382,25 @@ class Field:
         return self.exp(a) - self.const(1)
 
     def log(self, a: Quotient) -> Quotient:
-        return self.const(0) if (a - self.const(1)).is_zero() else self._generic("log", a, None)
+        if (a - self.const(1)).is_zero():
+            return self.const(0)
+        exponent = self._exponent(a)
+        return self._generic("log", a, None) if exponent is None else exponent
+
+    def _exponent(self, a: Quotient) -> Quotient | None:
+        """b, for a product of powers of exponentials that is exp(b)."""
+        total = self.const(0)
+        for side, part in ((1, a.numerator), (-1, a.denominator)):
+            terms = part.to_dict()
+            if len(terms) != 1 or 1 not in terms.values():
+                return None
+            ((powers, _),) = terms.items()
+            for k, power in enumerate(powers):
+                if power and (k not in self.atoms or self.atoms[k].kind != "exp"):
+                    return None
+                if power:
+                    total = total + self.atoms[k].argument * self.const(side * int(power))
+        return total
 
     def log1p(self, a: Quotient) -> Quotient:
         return self.log(self.const(1) + a)

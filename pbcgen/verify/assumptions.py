@@ -32,6 +32,8 @@ class Assumptions(Growth):
         constant = claim == "input-rank" and self.model.is_constant("g")
         if claim == "adjustable":
             return self.is_described(claim)
+        if claim == "globally-asymptotically-stable" and self.model.domain and text not in (*_ELSEWHERE, "all x"):
+            raise NotCheckable("it speaks of the inside of a domain")
         return text in _ELSEWHERE or (text == "all x" and (claim in _EVERYWHERE or constant)) or self.on_box(claim)
 
     def once(self, check: Callable[[], None]) -> None:
