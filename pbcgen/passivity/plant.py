@@ -180,7 +180,9 @@ class Plant:
         tape = Tape.of(self.symbols, outputs)
         if not self.reads_signs(tape):
             return tape
-        return Tape.of(self.symbols, continued(outputs, self.symbols, self.names, self.values, self.number))
+        # The constants that are made on the way belong to the symbols.
+        whole = continued(outputs, self.symbols, self.names, self.values, self.number)
+        return Tape.of(self.symbols, whole)
 
     def exact(
         self, *outputs: ca.SX, symbolic: bool = False, known: Mapping[str, Fraction] | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from math import isfinite
 
 import casadi as ca
 from flint import fmpq
@@ -228,6 +229,10 @@ def _hessian_claim(
     if verdict.status is Status.PROVED:
         evidence = f"hess S_d(x*) > 0, smallest eigenvalue {smallest:.6g}"
         return Claim("hessian-condition", Status.PROVED, "at x*", method, evidence)
+    if not isfinite(smallest):
+        evidence = "the second derivatives of the storage or of gamma are not defined at x*"
+        hint = "write S and gamma with functions that are smooth at x*, or choose another target"
+        return Claim("hessian-condition", Status.UNDECIDED, "at x*", method, evidence, hint)
     given = ", ".join(f"{float(v):.6g}" for v in alpha_beta)
     if minimum is None:
         hint = (

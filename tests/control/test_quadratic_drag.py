@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import pytest
 
-from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical, check
+from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical, Parameters, check
 
 NAMES = ("assumption-1", "asymptotically-stable", "globally-asymptotically-stable")
 LAW = DynamicExtension(2, 3, 5, 1)
@@ -97,3 +97,16 @@ def test_a_gamma_with_a_kink_is_not_proved():
     system = AffineSystem([x], [u], [-x], [1], x**2 / 2, gamma=[ca.fabs(x)])
     claims = {c.claim: c for c in check(Design(system, {"x": 0}, LAW, sample_period="1e-3")).claims}
     assert claims["passive-output"].status != "PROVED"
+
+
+@pytest.mark.parametrize("slope", ["0.4", "1.6"])
+def test_a_spring_with_a_bend_at_its_rest_has_no_hessian_there(slope):
+    """With 1.6 the storage has no minimum: it falls where q < 0."""
+    p = Parameters(m=1, k=1, c=slope, d="0.5")
+    q, momentum = ca.SX.sym("q"), ca.SX.sym("p")
+    V = p.k * q**2 / 2 + p.c * q * ca.fabs(q) / 2
+    spring = Mechanical([q], [momentum], V=V, G=[1], M=[p.m], D=[p.d], parameters=p)
+    claims = {c.claim: c for c in check(Design(spring, {"q": 0}, LAW, sample_period="1e-3")).claims}
+    assert str(claims["hessian-condition"].status) == "UNDECIDED"
+    assert "not defined at x*" in claims["hessian-condition"].evidence
+    assert "PROVED" not in {str(claims[name].status) for name in ("stable", "sampled-stable")}
