@@ -25,6 +25,7 @@ from pbcgen.passivity.region import Region, search_with_inputs
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.branch import Budget
 from pbcgen.proof.claim import Claim, Status
+from pbcgen.proof.definite import positive_semidefinite
 from pbcgen.proof.elimination import semidefinite
 from pbcgen.proof.nonnegative import Prover
 from pbcgen.proof.sos import coefficients, squares_tried, sum_of_squares
@@ -34,8 +35,8 @@ from pbcgen.symbolic.real import rational, sign, text
 
 #: gamma is sought by semidefinite programming for systems with at most so many states times inputs.
 _MOST_SYNTHESISED = 8
-#: Relative tolerances with which its coefficients are rounded.
-_TOLERANCES = (1e-3, 1e-6)
+#: Its coefficients are rounded with a relative tolerance, smaller ones than a share of the largest like that share.
+_TOLERANCES = ((1e-3, 1e-1), (1e-3, 1e-3), (1e-6, 1e-3))
 
 
 #: The strategy of a gamma that comes with the model.
@@ -232,6 +233,9 @@ def find(
             if method is not None:
                 claim = _proved(candidate, method, where, _forced(plant, point))
                 return PassiveOutput(candidate.gamma, candidate.strategy, claim, method.startswith("structure"))
+            if candidate.strategy != _GIVEN and _pushes_forward(plant, candidate.gamma, point):
+                tried.append(f"{candidate.strategy}: gamma' falls where u pushes, so Z(x) >= 0 fails")
+                continue
             tried.append(f"{candidate.strategy}: Z(x) >= 0 not proved")
             unproved.append(candidate)
     except (UnsupportedOperation, ZeroDivisionError) as reason:
@@ -251,6 +255,15 @@ def _is_constant(plant: Plant, gamma: ca.SX) -> bool:
     except (UnsupportedOperation, ZeroDivisionError):
         return False
     return all(entry.is_zero() for row in slope.dense(field.const(0)) for entry in row)
+
+
+def _pushes_forward(plant: Plant, gamma: ca.SX, point: Point | None) -> bool:
+    """Whether ``grad gamma^T g`` is certainly not positive semidefinite at x*: the law would drive u away."""
+    if point is None:
+        return False
+    feedthrough = ca.mtimes(ca.jacobian(gamma, plant.system.x), plant.system.g)
+    (matrix,) = plant.at(point, ca.densify(feedthrough + feedthrough.T))
+    return positive_semidefinite(matrix).status is Status.REFUTED
 
 
 def _forced(plant: Plant, point: Point | None) -> str:
@@ -279,8 +292,8 @@ def _synthesised(plant: Plant, storage_proved: bool) -> Iterator[_Candidate]:
     if found is None:
         return
     largest = max(abs(c) for c in found)
-    for tolerance in _TOLERANCES:
-        simple = [_simplest(c, tolerance * max(abs(c), 1e-3 * largest)) for c in found]
+    for tolerance, floor in _TOLERANCES:
+        simple = [_simplest(c, tolerance * max(abs(c), floor * largest)) for c in found]
         rows = [simple[i * len(functions) : (i + 1) * len(functions)] for i in range(system.m)]
         gamma = [sum((plant.number(c) * f for c, f in zip(row, functions, strict=True) if c), ca.SX(0)) for row in rows]
         yield _Candidate("basis ansatz, Z(x) as a matrix sum of squares", ca.vertcat(*gamma))

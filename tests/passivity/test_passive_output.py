@@ -4,11 +4,12 @@ from fractions import Fraction
 
 import casadi as ca
 import pytest
+from flint import fmpq
 
 from pbcgen import AffineSystem, Mechanical
 from pbcgen.passivity import passive_output
 from pbcgen.passivity.passive_output import PassiveOutput
-from pbcgen.passivity.plant import Plant
+from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.storage import assumption_1
 from pbcgen.proof.claim import Status
 from pbcgen.symbolic.real import fraction
@@ -125,3 +126,31 @@ def test_levels_of_two_tanks_give_a_passive_output_although_grad_S_is_no_polynom
     for levels in ([0.5, 2], [1, 1], [3, 0.1]):
         for flow in (-2.0, 0.0, 0.3, 5.0):
             assert float(power(levels, flow)) <= float(rate(levels, flow)) * flow + 1e-12
+
+
+def test_a_population_that_an_input_feeds_has_the_logarithm_as_gamma():
+    """``S = h - ln h``, ``h' = h (1 - h + u)``: found by semidefinite programming, which must not leave its noise in."""
+    pytest.importorskip("cvxpy")
+    h, u = ca.SX.sym("h"), ca.SX.sym("u")
+    system = AffineSystem([h], [u], [h * (1 - h)], [h], h - ca.log(h), domain={"h": ("0.1", 5)})
+    plant = Plant(system)
+    storage = assumption_1(plant)
+    found = passive_output.find(plant, storage.structure, storage.proved, storage.by_structure, storage.region)
+    assert _status(found) is Status.PROVED
+    field, (difference,) = plant.exact(found.gamma - ca.log(h))
+    assert difference.scalar(field.const(0)).constant() is not None
+
+
+@pytest.mark.parametrize("inputs", [1, 2, 3])
+def test_a_gamma_that_falls_where_the_input_pushes_is_not_offered(inputs):
+    """The natural output of a braked rigid body is the rate of -L: a law with that gamma would spin it up."""
+    L, u = ca.SX.sym("L", 3), ca.SX.sym("u", inputs)
+    w = L / ca.SX([1, 2, 3])
+    system = AffineSystem(L, u, ca.cross(L, w) - w, ca.SX.eye(3)[:, :inputs], ca.dot(L, w) / 2)
+    plant = Plant(system)
+    storage = assumption_1(plant)
+    rest = Point((fmpq(0),) * 3, (fmpq(0),) * inputs)
+    found = passive_output.find(plant, storage.structure, storage.proved, storage.by_structure, None, rest)
+    assert isinstance(found, PassiveOutput)
+    (feedthrough,) = plant.at(rest, ca.mtimes(ca.jacobian(found.gamma, L), system.g))
+    assert all(feedthrough[i][i] > 0 for i in range(inputs))
