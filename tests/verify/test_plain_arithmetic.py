@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pbcgen.control.writing import Writing
 from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import is_definite, krawczyk, stable
-from pbcgen.symbolic.plain.values import Field, Grow, NotCheckable, apply, partial, plain, sign, variables
+from pbcgen.symbolic.plain.values import Field, Grow, NotCheckable, apply, partial, plain, power, sign, variables
 from pbcgen.symbolic.real import REAL, approximate, precision
 from pbcgen.symbolic.real import rational as exact
 from pbcgen.symbolic.tape import Tape
@@ -156,3 +156,15 @@ def test_krawczyk_encloses_the_zero_and_refuses_what_is_none():
         )
         assert root.overlaps(arb(2).sqrt())
         assert krawczyk(system, [rational("1.4142")], rational("1e-40")) is None
+
+
+@pytest.mark.parametrize("exponent", ["3/4", "-1/4", "5/8", "-3/2", "2"])
+def test_powers_by_roots_are_those_of_exp_and_log(exponent):
+    found = power(arb(3), rational(exponent))
+    assert found.overlaps((arb(3).log() * arb(rational(exponent))).exp())
+    assert found.rad() < 1e-10
+
+
+def test_a_power_without_square_roots_is_not_checked():
+    with pytest.raises(NotCheckable, match="no multiple of 1/8"):
+        power(arb(3), rational("1/3"))

@@ -109,12 +109,14 @@ def _known(name: str, a: fmpq) -> fmpq | None:
 
 
 def power(a: Any, b: Any) -> Any:
-    """``a**b`` for a number b that is an integer or half of one."""
+    """``a**b`` for a number b that is a multiple of 1/8."""
     b = b.value if isinstance(b, Dual) and not b.slope else b
     exponent = b.number() if isinstance(b, Function) else b
-    if not isinstance(exponent, fmpq) or exponent.q > 2:
-        raise NotCheckable("a power with an exponent that is not half an integer")
-    base = a if exponent.q == 1 else apply("sqrt", a)
+    if not isinstance(exponent, fmpq) or 8 % int(exponent.q):
+        raise NotCheckable("a power with an exponent that is no multiple of 1/8")
+    base = a
+    for _ in range(int(exponent.q).bit_length() - 1):
+        base = apply("sqrt", base)
     result = prod([base] * abs(int(exponent.p)), start=fmpq(1))
     return 1 / result if exponent < 0 else result
 
