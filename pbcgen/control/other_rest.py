@@ -18,74 +18,88 @@ from pbcgen.symbolic.tape import Tape
 
 #: Starts of the search for other equilibria.
 _STARTS = 30
-#: Other equilibria are not searched for in systems with more states.
+#: Other equilibria are not searched for in systems with more states; of mechanical systems the positions count.
 _LARGEST_SEARCH = 12
 
 
 def other_rest(situation: Situation) -> list[Real] | None:
-    """The state, in balls, of an equilibrium of the closed loop that is certainly not x*; or None."""
-    if isinstance(situation.law, Integral) or situation.plant.system.n > _LARGEST_SEARCH:
-        return None
+    """The state, in balls, of an equilibrium of the closed loop that is certainly not x*; or None.
+
+    A mechanical system rests with p = 0, so its momenta are no unknowns.
+    """
     plant, point = situation.plant, situation.point
     system, n = plant.system, plant.system.n
+    still = n // 2 if system.mechanical is not None else 0
+    free = n - still
+    if isinstance(situation.law, Integral) or free > _LARGEST_SEARCH:
+        return None
     at_star = ca.SX.sym("at_star", 2 * system.m)
     residual = _rest_equations(situation, at_star[: system.m], at_star[system.m :])
-    jacobian = ca.jacobian(residual, ca.vertcat(system.x, system.u))
+    residual = ca.substitute(residual[still:], system.x[free:], ca.SX.zeros(still))
+    jacobian = ca.jacobian(residual, ca.vertcat(system.x[:free], system.u))
     with precision(BITS):
         (gamma_star,) = plant.at(point, situation.gamma)
         constants = [*point.u, *[row[0] for row in gamma_star]]
     rounded = ca.DM([approximate(v) for v in constants])
     function = plant.numeric(*[ca.substitute(e, at_star, ca.SX(rounded)) for e in (residual, jacobian)])
 
-    def evaluate(point: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        value, slope = function(point[:n], point[n:])
+    def evaluate(z: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        value, slope = function(np.concatenate([z[:free], np.zeros(still)]), z[free:])
         return np.array(value).ravel(), np.array(ca.densify(slope))
 
-    star = np.array([approximate(v) for v in (*situation.point.x, *situation.point.u)])
-    spread = np.full(n + system.m, 10.0)
-    around = Search(star - spread, star + spread, starts=_with_gamma_kept(situation, star), samples=_STARTS)
+    star = np.array([approximate(v) for v in (*point.x[:free], *point.u)])
+    spread = np.full(len(star), 10.0)
+    turned = star + np.pi * np.eye(len(star))[: free if still else 0]  # an arm with one link upside down
+    starts = (*_with_gamma_kept(situation, star, free), *turned)
+    around = Search(star - spread, star + spread, starts, _STARTS)
     tape = Tape.of([*plant.symbols, at_star], [residual, jacobian])
     parameters: list[Real] = [rational(v) for v in plant.parameter_values]
 
-    def in_balls(values: list[Real]) -> tuple[list[Real], list[list[Real]]]:
-        value, slope = (v.dense(ZERO) for v in tape.walk(REAL, [values[:n], values[n:], parameters, constants]))
+    def whole(z: list[Real]) -> tuple[list[Real], list[Real]]:
+        return [*z[:free], *[ZERO] * still], z[free:]
+
+    def in_balls(z: list[Real]) -> tuple[list[Real], list[list[Real]]]:
+        value, slope = (v.dense(ZERO) for v in tape.walk(REAL, [*whole(z), parameters, constants]))
         return [row[0] for row in value], slope
 
     with precision(BITS):
         for zero in sorted(find_zeros(evaluate, around), key=lambda z: float(np.linalg.norm(z - star))):
-            if np.max(np.abs(zero[:n] - star[:n])) < 1e-6 * (1 + np.max(np.abs(star[:n]))):
+            if np.max(np.abs(zero[:free] - star[:free])) < 1e-6 * (1 + np.max(np.abs(star[:free]))):
                 continue
             centre = polish(in_balls, list(zero))
             balls = None if centre is None else krawczyk(in_balls, centre)
-            if (
-                balls is not None
-                and any(sign(ball(b) - ball(s)) in (1, -1) for b, s in zip(balls[:n], situation.point.x, strict=True))
-                and _is_state(situation, balls)
+            if balls is None:
+                continue
+            x, u = whole([*balls])
+            if any(sign(ball(b) - ball(s)) in (1, -1) for b, s in zip(x, point.x, strict=True)) and _is_state(
+                situation, x, u
             ):
-                return balls[:n]
+                return x
     return None
 
 
-def _is_state(situation: Situation, z: list[Real]) -> bool:
+def _is_state(situation: Situation, x: list[Real], u: list[Real]) -> bool:
     """Whether (x, u) in balls lies in the stated domain for sure, and the storage is defined there."""
-    plant, n = situation.plant, situation.plant.system.n
+    plant = situation.plant
     bounds = Region.stated(plant).bounds
-    below = all(lo is None or sign(v - rational(lo)) in (0, 1) for v, (lo, _) in zip(z[:n], bounds, strict=True))
-    above = all(hi is None or sign(rational(hi) - v) in (0, 1) for v, (_, hi) in zip(z[:n], bounds, strict=True))
-    return below and above and is_finite(plant.walk(plant.tape(plant.system.S), z[:n], z[n:])[0][0][0])
+    below = all(lo is None or sign(v - rational(lo)) in (0, 1) for v, (lo, _) in zip(x, bounds, strict=True))
+    above = all(hi is None or sign(rational(hi) - v) in (0, 1) for v, (_, hi) in zip(x, bounds, strict=True))
+    return below and above and is_finite(plant.walk(plant.tape(plant.system.S), x, u)[0][0][0])
 
 
-def _with_gamma_kept(situation: Situation, star: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+def _with_gamma_kept(situation: Situation, star: NDArray[np.float64], free: int) -> tuple[NDArray[np.float64], ...]:
     """Starts along which gamma stays near gamma*: elsewhere the saturated law is flat, and Newton's method lost."""
     plant, n = situation.plant, situation.plant.system.n
-    slope = plant.numeric(ca.jacobian(situation.gamma, plant.system.x))(star[:n], star[n:])
-    N = np.array(ca.densify(slope))
+    at = np.concatenate([star[:free], np.zeros(n - free)])
+    N = np.array(ca.densify(plant.numeric(ca.jacobian(situation.gamma, plant.system.x[:free]))(at, star[free:])))
     if not np.all(np.isfinite(N)):
         return ()
-    keep = np.eye(n) - np.linalg.pinv(N) @ N
+    keep = np.eye(free) - np.linalg.pinv(N) @ N
+    if np.max(np.abs(keep)) < 1e-9:
+        return ()
     generator = np.random.default_rng(0)
-    moves = generator.uniform(-7.0, 7.0, (_STARTS, n)) @ keep
-    return tuple(star + np.concatenate([move, np.zeros(len(star) - n)]) for move in moves)
+    moves = generator.uniform(-7.0, 7.0, (_STARTS, free)) @ keep
+    return tuple(star + np.concatenate([move, np.zeros(len(star) - free)]) for move in moves)
 
 
 def _rest_equations(situation: Situation, u_star: ca.SX, gamma_star: ca.SX) -> ca.SX:

@@ -24,6 +24,7 @@ from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, positive_semidefinite
 from pbcgen.proof.elimination import definite
 from pbcgen.proof.extrema import term_bounds
+from pbcgen.proof.known import BOUNDED_KINDS
 from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.proof.sos import sum_of_squares
 from pbcgen.symbolic.field import Field, Quotient
@@ -302,13 +303,12 @@ def _split(value: Quotient, variables: Sequence[int], states: int) -> tuple[Real
             elif len(places) == 1:
                 linear[places[0]] += coefficient
         else:
-            exponents = value.numerator.monomial(index)
-            term = field.polynomial(field.context.from_dict({exponents: coefficient}))
-            if term_bounds(term, {}).hi is not None or nonnegative(term):
+            factors_bounded = all(field.atoms[k].kind in BOUNDED_KINDS for k in used if k >= field.symbol_count)
+            if factors_bounded and not symbols:
                 continue
-            factor = {k: int(e) if k >= field.symbol_count else 0 for k, e in enumerate(exponents)}
-            bounded = field.polynomial(field.context.from_dict({tuple(factor.values()): coefficient}))
-            if len(symbols) > 1 or term_bounds(bounded, {}).hi is None:
+            if nonnegative(field.polynomial(field.context.from_dict({value.numerator.monomial(index): coefficient}))):
+                continue
+            if len(symbols) > 1 or not factors_bounded:
                 return None
             small = False
     return form, linear, small

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
 from heapq import heappop, heappush
 
+from pbcgen.proof.extrema import Bounds, term_bounds
 from pbcgen.proof.nonnegative import Everywhere, Prover
 from pbcgen.symbolic.field import Quotient, TooLarge
 
@@ -119,7 +121,23 @@ def definite(
         return False
 
 
+def _dominant(rows: Mapping[int, Mapping[int, Quotient]]) -> bool:
+    """Whether every diagonal entry exceeds the others of its row together, by bounds of their terms (Gershgorin)."""
+    for i, row in rows.items():
+        left = term_bounds(row[i], {}).lo if i in row else None
+        for j, entry in row.items():
+            if left is None or left <= 0:
+                return False
+            bounds = term_bounds(entry, {}) if j != i else Bounds(Fraction(0), Fraction(0))
+            left = None if bounds.lo is None or bounds.hi is None else left - max(bounds.hi, -bounds.lo)
+        if left is None or left <= 0:
+            return False
+    return True
+
+
 def _definite(rows: dict[int, dict[int, Quotient]], prover: Prover) -> bool:
+    if _dominant(rows):
+        return True
     pivots = _Pivots(rows, prover)
     while rows:
         pivot = pivots.take()

@@ -121,3 +121,22 @@ def test_a_product_of_positive_factors_is_positive_although_its_terms_have_both_
     assert not positive(value * (c - d))
     assert not positive(value * (c - d) * (c - d))  # zero at c = d
     assert nonnegative(value * (c - d) * (c - d))
+
+
+def _coupled(size, heavy, coupling):
+    """A tridiagonal matrix with ``coupling cos(a - b)`` beside its diagonal."""
+    field = Field(NAMES, 8)
+    between = field.cos(field.symbol(0) - field.symbol(1)) * field.const(coupling)
+    zero = field.const(0)
+    return [
+        [field.const(heavy) if i == j else between if abs(i - j) == 1 else zero for j in range(size)]
+        for i in range(size)
+    ]
+
+
+def test_a_matrix_with_a_dominant_diagonal_is_definite_and_one_that_touches_zero_is_not():
+    assert definite(_coupled(12, 2, Fraction(99, 100)))
+    assert not definite(_coupled(2, 1, 1))
+    assert not definite(_coupled(3, 1, 1))
+    assert not definite(_coupled(4, 2, Fraction(3, 2)))
+    assert not definite(_coupled(2, -2, Fraction(1, 2)))
