@@ -170,16 +170,26 @@ class Stability(Assumptions):
             raise NotCheckable("the certificate does not hold the damping that sampling consumes")
         return require(linear, "the linearised sampled loop is not Schur")
 
+    @property
+    def jitter(self) -> fmpq:
+        """The share by which periods vary."""
+        return rational(self.model.words.get("jitter", ["0"])[0])
+
+    def any_sequence(self, claim: str) -> bool:
+        """Whether the storage of the certificate knows the controller's own period only."""
+        return "Lambda" in (self.witness[claim] or {}) and "natural-damping" not in self.law
+
     def refuted_sampled_stable(self) -> None:
         """An eigenvalue of the linearised sampled loop lies outside the unit disc."""
         linear = stable(self.sampled, True, self.storage("sampled-stable"))
         require(linear is False, "no eigenvalue certainly lies outside the unit disc")
 
     def _decreases(self) -> None:
-        """What a period h consumes leaves damping: ``Lambda - h C / 2 > 0`` for y, or Theta > 0 with that."""
+        """What the longest period h consumes leaves damping: ``Lambda - h C / 2 > 0`` for y, or Theta > 0 with that."""
         require("delay" not in self.model.words, "the storage argument is for inputs that act at once")
         self.lyapunov()
-        claim, h, gains, damped = "sampled-stable", self.period, self.model.gains, "natural-damping" in self.law
+        claim, gains, damped = "sampled-stable", self.model.gains, "natural-damping" in self.law
+        h = self.period * (1 + self.jitter)
         rates = (self.rate("eta") if damped else []) + self.rate("gamma")
         Lambda = [[rational(v) for v in row] for row in self.witness[claim]["Lambda"]]
         self.nonnegative(plus(self.power, product(transpose(rates), Lambda, rates), -1), claim)

@@ -277,7 +277,7 @@ def test_a_delay_that_the_certificate_leaves_out_or_adds_is_seen():
     assert outcomes(forged(certificate_of("rlc"), load("rlc").with_(delay=2)))["sampled-stable"] == "fails"
 
 
-def test_periods_that_vary_are_recorded_and_not_checked():
+def test_periods_that_vary_are_recorded_and_not_checked_without_such_a_storage():
     varied = json.loads(json.dumps(certificate(derive(load("rlc").with_(jitter="1/20")))))
     assert outcomes(varied)["sampled-stable"] == "recorded"
 
@@ -289,3 +289,14 @@ def test_the_transition_of_a_delayed_loop_is_the_one_that_was_decided(delay):
     system = Stability(json.loads(json.dumps(certificate(found))), 16)
     radius = max(abs(np.linalg.eigvals(np.array([[approximate(v) for v in row] for row in system.sampled]))))
     assert radius == pytest.approx(found.derived["spectral_radius"], rel=1e-9)
+
+
+def test_periods_that_vary_below_the_bound_of_the_storage_are_checked():
+    """The bound is 1/660 s, for any sequence of periods; the common storage of the coupling device is not checked."""
+    document = json.loads(json.dumps(certificate(derive(load("pera").with_(jitter="1/2")))))
+    assert {c["claim"]: c["domain"] for c in document["claims"]}["sampled-stable"] == "sampled loop, all x"
+    assert outcomes(document)["sampled-stable"] == "checked"
+    slow = load("pera").with_(sample_period="1.4e-3")
+    assert outcomes(forged(document, slow))["sampled-stable"] == "checked"
+    assert outcomes(forged(document, slow.with_(jitter="1/10")))["sampled-stable"] == "fails"
+    assert outcomes(forged(document, slow.with_(delay="1/2")))["sampled-stable"] == "fails"
