@@ -24,8 +24,8 @@ from pbcgen.passivity.structure import PowerStructure
 from pbcgen.passivity.undamped import Plane, undamped_plane
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.spectrum import Stability, hurwitz
-from pbcgen.symbolic.linear import Inconsistent
-from pbcgen.symbolic.real import Real, fraction
+from pbcgen.symbolic.linear import Inconsistent, reduce_rows
+from pbcgen.symbolic.real import Real, fraction, sign
 
 #: Loops of more states are linearised only where the storage leaves a claim open: that takes dense matrices.
 LARGEST_LINEARISED = 50
@@ -141,9 +141,39 @@ class Situation:
     @cached_property
     def _parts(self) -> list[InvariantSet]:
         try:
-            return [] if self.flow is None else branches(self.flow)
+            found = [] if self.flow is None else branches(self.flow)
+            return found if len(found) < 2 else [part for part in found if part.resting or not self._empty(part)]
         except (UnsupportedOperation, ZeroDivisionError, Inconsistent):
             return []
+
+    def _empty(self, part: InvariantSet) -> bool:
+        """Whether the filters cannot rest on a part of the invariant set.
+
+        Where all inputs are u* there, the filters rest only if gamma = gamma*; an equation of the part in states that
+        this fixes, which does not hold at x*, then holds nowhere.
+        """
+        plant, system = self.plant, self.plant.system
+        fixed = self._numbers([fmpq(0)] * system.m if self.compensation is not None else list(self.point.u))
+        if fixed is None or len(part.inputs) < system.m or not part.pending:
+            return False
+        change = ca.vertcat(*[part.inputs[j] - fixed[j] for j in range(system.m)])
+        field, (changes, pending, slope) = plant.exact(
+            change, ca.vertcat(*part.pending), ca.jacobian(self.gamma, system.x)
+        )
+        zero = field.const(0)
+        equations = [value for value in pending.column(zero) if value.numerator.total_degree() > 0]
+        for value in changes.column(zero):
+            if not any(divmod(value.numerator, e.numerator)[1].is_zero() for e in equations):
+                return False
+        rows = [[entry.constant() for entry in row] for row in slope.dense(zero)]
+        known = reduce_rows([dict(enumerate(row)) for row in rows if None not in row])
+        held = {int(str(k)) for k, row in known.items() if not any(c for j, c in row.items() if j != k)}
+        for value in equations:
+            if value.symbols() <= held:
+                ((entry,),) = plant.at(self.point, plant.expression(value))
+                if sign(entry[0]) in (1, -1):
+                    return True
+        return False
 
     @cached_property
     def invariant(self) -> InvariantSet | None:

@@ -43,6 +43,8 @@ _LARGEST_TAPE = 1500
 _MOST_TERMS = 600
 #: How many branches may be followed, and how many products one after the other may be split.
 _MOST_BRANCHES, _DEEPEST = 8, 4
+#: So many equations are compared with each other.
+_MOST_COMPARED = 12
 #: Instructions of all the expressions that one elimination may look at: some seconds of work.
 _BUDGET = 25_000
 
@@ -169,7 +171,7 @@ class _Elimination:
         for _ in range(_ROUNDS * self.states):
             self.pending.clear()
             waiting = [e for e in self._use_affine(queue) if not self.use(e)]
-            waiting = self._linear_block(waiting)
+            waiting = self._without_multiples(self._linear_block(waiting))
             if self._rests(waiting):
                 self._settle(waiting)
                 return True
@@ -181,6 +183,18 @@ class _Elimination:
                 return True
             queue = [*waiting, *fresh]
         return False
+
+    def _without_multiples(self, waiting: list[ca.SX]) -> list[ca.SX]:
+        """The equations without those that are multiples of another one: they and their rates say nothing more."""
+        if not 1 < len(waiting) <= _MOST_COMPARED:
+            return waiting
+        _, values = self.exact(*ca.vertsplit(self.substitute(ca.vertcat(*waiting))))
+        tops = [value.numerator for value in values]
+        kept: list[int] = []
+        for i in sorted(range(len(tops)), key=lambda k: (tops[k].total_degree(), len(tops[k]), k)):
+            if not any(divmod(tops[i], tops[j])[1].is_zero() for j in kept if not tops[j].is_zero()):
+                kept.append(i)
+        return [waiting[i] for i in sorted(kept)]
 
     def _split(self, waiting: Sequence[ca.SX]) -> None:
         """Raise _Split for the first equation that is a product of functions that may vanish."""
