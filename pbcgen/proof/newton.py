@@ -100,7 +100,10 @@ def polish(system: System, start: Sequence[float]) -> list[Fraction] | None:
             return None
         if not all(_is_moderate(step[i, 0], a) for i, a in enumerate(start)):
             return None
-        moves = [midpoint(step[i, 0]) for i in range(len(z))]
+        try:
+            moves = [midpoint(step[i, 0]) for i in range(len(z))]
+        except OverflowError:  # a step of exp(-10^7), from a start where the function is as large
+            return None
         z = [midpoint(ball(rational(a - b))) for a, b in zip(z, moves, strict=True)]
         if all(abs(b) <= Fraction(1, 10**90) * (1 + abs(a)) for a, b in zip(z, moves, strict=True)):
             break

@@ -74,6 +74,17 @@ def test_an_undefined_function_is_not_enclosed():
         assert polish(system, [0.0]) is None
 
 
+def test_a_step_too_small_to_be_written_down_is_none():
+    """exp(-exp(20)) is below 2^-10^6."""
+
+    def system(z):
+        small = (-((ball(z[0]) + 20).exp())).exp()
+        return [small], [[fmpq(1)]]
+
+    with precision(BITS):
+        assert polish(system, [0.0]) is None
+
+
 @pytest.mark.parametrize("start", [1.0, 0.3, -7.0])
 def test_what_newton_in_doubles_takes_for_a_zero_is_not_enclosed_unless_it_is_one(start):
     """x^2 + 1 has no real zero; in doubles the search may stop where the slope vanishes."""
