@@ -3,7 +3,8 @@
 ``exp(-((v - v0)/w)^2)`` or ``tanh((v - v0)/w)`` hides a narrow feature at ``v = v0``; the inner quantity leads there,
 whatever the width. It moves only the variables that it depends on: the others keep the values of many random states,
 because a damping that is negative at ``v0`` may show only where another coordinate is large. Quantities of different
-variables are led to together, which finds the ball where several of them meet.
+variables are led to together, which finds the ball where several of them meet. Factors of products that are flat almost
+everywhere, such as the difference of two steps, are first brought each to the place where it stands out.
 """
 
 from __future__ import annotations
@@ -15,13 +16,16 @@ import numpy as np
 
 from pbcgen.proof.seeker import Points, Seeker, some_states
 
-_MOST_PROBES = 60
+_MOST_PROBES = 120
 #: States from which every quantity starts, steps of Newton's method, and how often quantities are put together.
 _BASES = 96
 _STEPS = 8
 _MEETINGS = 160
 #: Narrow features that are looked at in the middle between two places.
-_MOST_MIDDLES = 40
+_MOST_MIDDLES = 80
+#: How often the factors that stand out are put together, and by how much they must differ from their usual values.
+_ASSEMBLIES = 16
+_OUTSTANDING = 10.0
 #: Relative distance below which two places are the same.
 _SAME = 1e-9
 #: Factors by which variables are changed, for how many states of each place, how often, and how many results a
@@ -39,8 +43,8 @@ _PROBED = frozenset(getattr(ca, f"OP_{name}") for name in _STEEP.split())
 _DIVISIONS = (ca.OP_DIV, ca.OP_INV)
 
 
-def inner_quantities(value: ca.SX) -> list[ca.SX]:
-    """The operands of steep, bounded or singular operations in the graph of a scalar, then the factors of products."""
+def inner_quantities(value: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
+    """The operands of steep, bounded or singular operations in the graph of a scalar, and the factors of products."""
     steep: dict[int, ca.SX] = {}
     factors: dict[int, ca.SX] = {}
     seen: set[int] = set()
@@ -57,7 +61,13 @@ def inner_quantities(value: ca.SX) -> list[ca.SX]:
             found = factors if node.op() == ca.OP_MUL else steep
             found |= {o.element_hash(): o for o in chosen if not (o.is_constant() or o.is_symbolic())}
         waiting.extend(operands)
-    return list((steep | factors).values())
+    return list(steep.values()), [factor for key, factor in factors.items() if key not in steep]
+
+
+def _first(steep: list[ca.SX], factors: list[ca.SX]) -> tuple[list[ca.SX], list[ca.SX]]:
+    """As many as are looked at."""
+    chosen = steep[:_MOST_PROBES]
+    return chosen, factors[: _MOST_PROBES - len(chosen)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +116,11 @@ class _Moved:
 def probe(seeker: Seeker, generator: np.random.Generator) -> None:
     """Zeros and critical points of the inner quantities, alone, between each other and together."""
     x = seeker.question.variables
-    found = inner_quantities(seeker.question.value)[:_MOST_PROBES]
-    quantities = [q for value in found if (q := _Quantity.of(value, x)).support]
+    steep, factors = (
+        [q for value in found if (q := _Quantity.of(value, x)).support]
+        for found in _first(*inner_quantities(seeker.question.value))
+    )
+    quantities = [*steep, *factors]
     if not quantities:
         return
     count = max(4, min(_BASES, seeker.affordable(0.3) // (20 * len(quantities))))
@@ -116,8 +129,12 @@ def probe(seeker: Seeker, generator: np.random.Generator) -> None:
         places = [place for q in quantities for place in (_zeros(seeker, q, bases), _critical(seeker, q, bases))]
         places = _different(places)
         middles = _middles(places)
+        outstanding = _outstanding(factors, bases, [*middles, *places])
     places = [*middles, *places]
     moved = [_Moved(_at(bases, place), frozenset(place.support)) for place in places]
+    for k in range(_ASSEMBLIES if outstanding else 0):
+        moved.append(_together(bases, outstanding, k / _ASSEMBLIES, generator, everything=True))
+        seeker.suspects += list(moved[-1].points[:: len(bases) // 3])
     for k in range(_MEETINGS):
         moved.append(_together(bases, (middles, places)[k % 2], k / _MEETINGS, generator))
     with np.errstate(all="ignore"):
@@ -190,11 +207,33 @@ def _at(bases: Points, place: _Place) -> Points:
     return moved
 
 
-def _together(bases: Points, places: list[_Place], disorder: float, generator: np.random.Generator) -> _Moved:
+def _outstanding(factors: list[_Quantity], bases: Points, places: list[_Place]) -> list[_Place]:
+    """The places where factors differ most from their values at the bases, and by how much; the greatest first."""
+    ranked: list[tuple[float, int, _Place]] = []
+    for factor in factors:
+        candidates = [_at(bases, place) for place in places if place.support == factor.support]
+        if not candidates:
+            continue
+        usual, _, _ = factor.at(bases)
+        points = np.vstack(candidates)
+        values, _, _ = factor.at(points)
+        away = np.abs(values - np.median(usual))
+        away[~np.isfinite(away)] = -1.0
+        best = int(np.argmax(away))
+        spread = float(np.median(np.abs(usual - np.median(usual))))
+        if np.isfinite(spread) and away[best] > _OUTSTANDING * spread:
+            found = np.tile(points[best, list(factor.support)], (len(bases), 1))
+            ranked.append((spread / away[best], len(ranked), _Place(factor.support, found)))
+    return [place for _, _, place in sorted(ranked, key=lambda item: item[:2])]
+
+
+def _together(
+    bases: Points, places: list[_Place], disorder: float, generator: np.random.Generator, everything: bool = False
+) -> _Moved:
     """The bases, moved to places of different variables: all that fit or only some, the first ones or any."""
     points, taken = bases, frozenset[int]()
     size = len(places)
-    wanted = int(generator.choice((2, 3, size)))
+    wanted = size if everything else int(generator.choice((2, 3, size)))
     for k in np.argsort(np.arange(size) + generator.random(size) * size * disorder):
         if wanted and taken.isdisjoint(places[k].support):
             points = _at(points, places[k])

@@ -78,9 +78,9 @@ def _confirmed(seeker: Seeker) -> Search:
     """The first of the lowest states at which the value is certainly negative."""
     lowest = seeker.best[0] if seeker.best else (float("inf"), (0.0,) * seeker.n)
     with precision(BITS):
-        for value, where in distinct(seeker.best, _CONFIRMATIONS):
-            if value >= 0:
-                break
+        lowest_states = [where for value, where in distinct(seeker.best, _CONFIRMATIONS) if value < 0]
+        suspects, seeker.suspects = seeker.suspects, []
+        for where in [*lowest_states, *suspects]:
             point = tuple(_inside(v, bounds) for v, bounds in zip(where, seeker.question.bounds, strict=True))
             if _negative(seeker.question, point) is None:
                 continue

@@ -48,7 +48,10 @@ class Question:
 
 @dataclass(eq=False)
 class Seeker:
-    """The compiled question, the lowest states so far, and states from which a descent may lead lower."""
+    """The compiled question, the lowest states so far, and states from which a descent may lead lower.
+
+    Suspects are states to be looked at exactly: where a damping changes its sign, rounding may hide it.
+    """
 
     question: Question
     lower: Points = field(init=False)
@@ -56,6 +59,7 @@ class Seeker:
     evaluations: int = 0
     best: list[tuple[float, State]] = field(default_factory=list)
     starts: list[Points] = field(default_factory=list)
+    suspects: list[Points] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         q = self.question

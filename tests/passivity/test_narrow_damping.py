@@ -32,6 +32,18 @@ def _product(factors: Sequence[ca.SX]) -> ca.SX:
     return result
 
 
+def _logistic(v: ca.SX) -> ca.SX:
+    return 1 / (1 + ca.exp(-8 * v))
+
+
+#: Steps of other functions, of which most of a formula is flat.
+STEPS = {
+    "arctangents": SHAPES["arctangents"],
+    "logistic": lambda z: _product([_logistic(v + 1) - _logistic(v - 1) for v in z]),
+    "erf": lambda z: _product([(ca.erf(4 * (v + 1)) - ca.erf(4 * (v - 1))) / 2 for v in z]),
+}
+
+
 def _symbols(names: str) -> list[ca.SX]:
     return [ca.SX.sym(name) for name in names.split()]
 
@@ -43,7 +55,7 @@ def friction(draw: random.Random, shape: str, variables: Sequence[ca.SX], depth:
     for v in variables:
         centre = draw.choice([-1, 1]) * 10 ** draw.uniform(-1.5, 1.5)
         scaled.append((v - centre) / (relative * abs(centre)))
-    return draw.uniform(0.1, 2) * (1 - (1 + depth) * SHAPES[shape](scaled))
+    return draw.uniform(0.1, 2) * (1 - (1 + depth) * (SHAPES | STEPS)[shape](scaled))
 
 
 def mechanical(draw: random.Random, shape: str, size: int, depth: float) -> Mechanical:
@@ -75,6 +87,17 @@ def circuit(draw: random.Random, shape: str, size: int, depth: float) -> Circuit
     return Circuit([a, b], [v], L=[1, 2], C=[0.5], Gamma=[[1], [1]], v_R=[0.2 * a, b + b**3], i_G=[i_G], g_L=g_L)
 
 
+def chain(draw: random.Random, shape: str, size: int, depth: float) -> Mechanical:
+    """Three masses, all driven, of which one has friction: the others are not there to hide it."""
+    q, p = _symbols("q1 q2 q3"), _symbols("p1 p2 p3")
+    variables = [*q, *p]
+    draw.shuffle(variables)
+    damping: list[ca.SX | float] = [0.0, 0.0, 0.0]
+    damping[draw.randrange(3)] = friction(draw, shape, variables[:size], depth)
+    V = q[0] ** 2 + ca.cosh(q[1] / 10) + 1 - ca.cos(q[2]) + (q[0] - q[1]) ** 2 + (q[1] - q[2]) ** 2
+    return Mechanical(q, p, M=[1, 2, 0.5], V=V, D=damping, G=[[1, 0, 0], [0, 1, 0], [0, 0, 1]])
+
+
 CASES = [
     (make, shape, size)
     for k, shape in enumerate(SHAPES)
@@ -86,6 +109,16 @@ CASES = [
 def test_it_is_found(make, shape, size):
     draw = random.Random(f"{make.__name__} {shape} {size}")
     claim = assumption_1(Plant(make(draw, shape, size, draw.choice(EXCESS)).lower())).claim
+    assert claim.status is Status.REFUTED
+
+
+MANY = [("logistic", 4, 0), ("logistic", 5, 1), ("arctangents", 5, 0), ("erf", 5, 0)]
+
+
+@pytest.mark.parametrize(("shape", "size", "seed"), MANY)
+def test_it_is_found_between_steps_in_many_variables(shape, size, seed):
+    draw = random.Random(f"{shape} {size} {seed}")
+    claim = assumption_1(Plant(chain(draw, shape, size, 0.1).lower())).claim
     assert claim.status is Status.REFUTED
 
 
