@@ -259,6 +259,21 @@ def test_a_second_rest_outside_of_the_domain_refutes_nothing():
     assert outcomes(signed(document))["globally-asymptotically-stable"] == "fails"
 
 
+@pytest.mark.parametrize(("inside", "outcome"), [("1 + r**2", "checked"), ("r**2 + 0 * r", None)])
+def test_a_root_of_what_is_positive_is_smooth_everywhere(inside, outcome):
+    """A spring that stiffens as sqrt(1 + r^2) does; sqrt(r^2) is the absolute value of r."""
+    q, r, p1, p2 = (ca.SX.sym(name) for name in ("q", "r", "p1", "p2"))
+    V = (q - r) ** 2 / 2 + r**2 / 2 + ca.sqrt(eval(inside, {"r": r}))
+    system = Mechanical([q, r], [p1, p2], M=[1, 1], V=V, D=[0.5, 0.5], G=[1, 0])
+    law = DynamicExtension(alpha=3, beta=2, K_c=20, R_c=1)
+    derivation = derive(Design(system, {"q": 0}, law, sample_period="1e-2", near={"r": 0}))
+    document = json.loads(json.dumps(certificate(derivation)))
+    status = {entry["claim"]: entry["status"] for entry in document["claims"]}["globally-asymptotically-stable"]
+    assert (status == "PROVED") == (outcome == "checked")
+    if outcome:
+        assert outcomes(document)["globally-asymptotically-stable"] == outcome
+
+
 def _place(lines, instruction):
     return next(line.split()[0] for line in lines if line.endswith(instruction))
 

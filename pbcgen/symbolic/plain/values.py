@@ -20,6 +20,7 @@ ODD = {"tanh", "atan", "asinh", "erf", "asin", "atanh"}
 INCREASING, NONNEGATIVE = ODD | {"exp", "log", "sqrt"}, {"exp", "sqrt"}
 #: Functions that are analytic on the whole line; the others may enter a proof only where the model has them.
 _ENTIRE = {"exp", "sin", "cos", "tanh", "atan", "asinh", "erf"}
+_OF_POSITIVE = {"sqrt", "log"}
 BOUNDED = {"sin", "cos", "tanh", "erf"}
 AT_ZERO = {"exp": 1, "cos": 1} | dict.fromkeys([*ODD, "sin", "sqrt"], 0)
 _FUNCTIONS = INCREASING | {"sin", "cos", "acos", "acosh"}
@@ -297,22 +298,23 @@ class Field:
     def everywhere(self, a: fmpq_mpoly) -> int:
         """1 or -1 when the polynomial certainly has this sign everywhere, else 0.
 
-        A number is evaluated. Terms that are nowhere negative count as zero or, when they have exponentials only, as
-        positive; the others must be bounded, and together smaller than the constant.
+        A number is evaluated. Terms that are nowhere negative count as zero or, when they have only exponentials and
+        roots of what is positive, as positive; the others must be bounded, and together smaller than the constant.
         """
         if (known := sign(self.at(a, [arb("nan")] * len(self.symbols)))) is not None:
             return known
         for side in (1, -1):
             left, strict, certain = fmpq(0), False, True
             for exponents, coefficient in (a * side).to_dict().items():
-                present = [(self._kind(k), e % 2) for k, e in enumerate(exponents) if e]
+                used = [k for k, e in enumerate(exponents) if e]
+                present = [(self._kind(k), exponents[k] % 2) for k in used]
                 if not present:
                     left += coefficient
                 elif coefficient < 0 or any(odd and kind not in NONNEGATIVE for kind, odd in present):
                     left -= abs(coefficient)
                     certain = certain and all(kind in BOUNDED for kind, _ in present)
                 else:
-                    strict = strict or all(kind == "exp" for kind, _ in present)
+                    strict = strict or all(self._above_zero(k) for k in used)
             if certain and (left > 0 or (left == 0 and strict)):
                 return side
         content, factors = a.factor() if 1 < len(a) <= _MOST_FACTORED else (0, [])
@@ -323,9 +325,22 @@ class Field:
 
     def entire(self) -> bool:
         """Whether everything computed so far is certainly defined and smooth at every state."""
-        smooth = all(kind in _ENTIRE for kind, _, _ in self.atoms)
+        smooth = all(
+            kind in _ENTIRE or (kind in _OF_POSITIVE and self._of_positive(k))
+            for k, (kind, _, _) in enumerate(self.atoms)
+        )
         unsure = [divisor for key, divisor in self.all_divisors.items() if key not in self.nowhere_zero]
         return smooth and all(self.everywhere(divisor) for divisor in unsure)
+
+    def _above_zero(self, k: int) -> bool:
+        """Whether generator k is an exponential, or the root of a function that is positive everywhere."""
+        kind = self._kind(k)
+        return kind == "exp" or (kind == "sqrt" and self._of_positive(self.pool - 1 - k))
+
+    def _of_positive(self, number: int) -> bool:
+        """Whether the argument of an atom is positive everywhere."""
+        argument = [*self.atoms.values()][number]
+        return self.everywhere(argument.top) * self.everywhere(argument.bottom) == 1
 
     def _kind(self, k: int) -> str:
         number = self.pool - 1 - k
