@@ -34,7 +34,7 @@ def beyond_linearisation(situation: Situation, by_lyapunov: bool) -> Claim | Non
     decided = _conserved(situation) or _in_a_plane(situation)
     if decided is not None or not by_lyapunov:
         return decided
-    parts = situation.branches
+    parts = situation.branches_near_target
     if parts and all(part.resting for part in parts) and _isolated(situation):
         return _attractive(*parts)
     return _undamped(situation)
@@ -47,7 +47,7 @@ def locally_by_storage(situation: Situation) -> Claim | None:
     x*: grad S - grad gamma u = A (f + g u), or F^-1 (f + g u) with F regular at x*, and x_c rests where the slope of
     the storage in x_c vanishes.
     """
-    structure, parts = situation.structure, situation.branches
+    structure, parts = situation.structure, situation.branches_near_target
     known = isinstance(situation.law, DynamicExtension | PassiveOutput)
     if not known or structure is None or not parts or not all(part.resting for part in parts):
         return None

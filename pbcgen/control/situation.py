@@ -192,6 +192,22 @@ class Situation:
             return self._parts
         return [] if self.invariant is None else [self.invariant]
 
+    @cached_property
+    def branches_near_target(self) -> list[InvariantSet]:
+        """The same for what lies near x*: without parts with an equation that certainly does not hold at x* and u*."""
+        near = [part for part in self._parts if part.resting or not self._is_away(part)]
+        return near if near and all(part.resting for part in near) else self.branches
+
+    def _is_away(self, part: InvariantSet) -> bool:
+        assert self.flow is not None
+        system, constant = self.plant.system, self.flow.constant
+        relations = [system.x[k] - value for k, value in part.solved.items()]
+        relations += [constant[j] - value for j, value in part.inputs.items()]
+        column = ca.substitute(ca.vertcat(ca.SX(0, 1), *relations, *part.pending), constant, system.u)
+        u = self.point.u if self.compensation is None else (fmpq(0),) * system.m
+        (values,) = self.plant.at(Point(self.point.x, u), column)
+        return any(sign(row[0]) in (1, -1) for row in values)
+
     def _theta_strict(self) -> bool:
         """Theta > 0 is what makes eta', y and x_l' vanish where the Lyapunov function rests."""
         if not isinstance(self.base, NaturalDamping):

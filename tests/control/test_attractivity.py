@@ -305,3 +305,17 @@ def test_a_symmetric_mode_is_not_damped_by_springs_that_stiffen():
     V = sum(((a - q[1]) ** 2 / 2 + (a - q[1]) ** 4 / 4 for a in (q[0], q[2])), q[1] ** 2 / 2)
     system = Mechanical(q, p, M=ca.SX.eye(3), V=V, G=[[0], [1], [0]])
     assert "PROVED" not in _statuses(system, {"q_1": 0}, near={"q_0": 0, "q_2": 0})[1:]
+
+
+def _pair(target):
+    """Two equal masses on stiffening springs, pushed together."""
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    V = (q[0] - q[1]) ** 2 / 2 + sum((a**2 / 2 + a**4 / 4 for a in (q[0], q[1])), ca.SX(0))
+    system = Mechanical(q, p, M=ca.SX.eye(2), V=V, G=[[1], [1]])
+    return _statuses(system, {"q_0": target, "q_1": target})[:2]
+
+
+def test_a_branch_of_the_invariant_set_that_is_not_near_the_target_does_not_count():
+    """Against each other the masses swing unseen about zero, not elsewhere."""
+    assert _pair("0.5") == ("PROVED", "PROVED")
+    assert _pair(0) == ("PROVED", "REFUTED")
