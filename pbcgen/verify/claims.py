@@ -9,6 +9,7 @@ from typing import Any
 from flint import ctx
 
 from pbcgen.reading.system import Fails, require
+from pbcgen.symbolic.plain.formulas import Malformed
 from pbcgen.symbolic.plain.values import Grow, NotCheckable
 from pbcgen.verify.stability import Stability
 
@@ -33,7 +34,7 @@ class Finding:
 
 
 def examine(document: Mapping[str, Any]) -> list[Finding]:
-    """Check every claim of a certificate."""
+    """Check every claim of a certificate. Raises Malformed where it cannot be read as one."""
     bits = ctx.prec
     settings: tuple[Any, ...] = (16,)
     try:
@@ -44,6 +45,8 @@ def examine(document: Mapping[str, Any]) -> list[Finding]:
                 return [find(system, entry["claim"], entry["status"]) for entry in document["claims"]]
             except Grow as larger:
                 settings = larger.args
+    except _MISFITS as error:
+        raise Malformed(f"the certificate has entries of another kind ({type(error).__name__}: {error})") from None
     finally:
         ctx.prec = bits
     return [Finding(entry["claim"], entry["status"], "recorded", "too many arguments") for entry in document["claims"]]

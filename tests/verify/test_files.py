@@ -162,3 +162,21 @@ def test_strict_does_not_accept_what_is_only_recorded(tmp_path, capsys):
     assert recorded >= 1
     assert f"Accepted, but for {recorded} that nothing here checked" in shown
     assert execute(["verify", str(path), "--strict"]) == 2
+
+
+@pytest.mark.parametrize("spoil", [
+    lambda d: d["terms"].__setitem__(0, []),
+    lambda d: d["readings"].__setitem__(0, None),
+    lambda d: d["formulas"].__setitem__(0, 3),
+    lambda d: d["claims"].__setitem__(0, "PROVED"),
+    lambda d: d["claims"][3].update(status={}),
+    lambda d: d["claims"][3].update(claim=1),
+    lambda d: d["claims"][3].pop("witness"),
+    lambda d: d["claims"][3].pop("domain"),
+])  # fmt: skip
+def test_a_signed_document_of_other_kinds_of_entries_is_refused_in_words(spoil, tmp_path, capsys):
+    document = certificate_of("oscillator")
+    spoil(document)
+    (tmp_path / "c.json").write_text(json.dumps(signed(document)))
+    assert execute(["verify", str(tmp_path / "c.json")]) == 1
+    assert "entries of another kind" in capsys.readouterr().err
