@@ -325,17 +325,14 @@ class Field:
 
     def entire(self) -> bool:
         """Whether everything computed so far is certainly defined and smooth at every state."""
-        smooth = all(
-            kind in _ENTIRE or (kind in _OF_POSITIVE and self._of_positive(k))
-            for k, (kind, _, _) in enumerate(self.atoms)
-        )
+        kinds = [kind for kind, _, _ in self.atoms]
+        smooth = all(v in _ENTIRE or (v in _OF_POSITIVE and self._of_positive(k)) for k, v in enumerate(kinds))
         unsure = [divisor for key, divisor in self.all_divisors.items() if key not in self.nowhere_zero]
         return smooth and all(self.everywhere(divisor) for divisor in unsure)
 
     def _above_zero(self, k: int) -> bool:
         """Whether generator k is an exponential, or the root of a function that is positive everywhere."""
-        kind = self._kind(k)
-        return kind == "exp" or (kind == "sqrt" and self._of_positive(self.pool - 1 - k))
+        return self._kind(k) == "exp" or (self._kind(k) == "sqrt" and self._of_positive(self.pool - 1 - k))
 
     def _of_positive(self, number: int) -> bool:
         """Whether the argument of an atom is positive everywhere."""
