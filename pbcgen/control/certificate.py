@@ -300,6 +300,9 @@ def _blind(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, An
 
 def _theta(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
     found, parts = claim.counterexample or {}, ("eta'", "y", "x_l'")
+    if isinstance(x := found.get("x"), Mapping):  # a state and an input
+        system = derivation.plant.system
+        return {"x": [str(x[name]) for name in (*system.state_names, *system.input_names)]}
     return {"v": [str(v) for part in parts for v in found[part]]} if found.keys() >= set(parts) else None
 
 

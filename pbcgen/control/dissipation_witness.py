@@ -197,10 +197,10 @@ class Boxes:
         box = [(lo, hi) for k in used for lo, hi in [self.bounds[k]] if lo is not None and hi is not None]
         if len(box) < len(used) or len(used) > _MOST_COORDINATES:
             return None
-        part = Formulas.parse(writing.lines()).part(place)
+        part = Formulas.parse(writing.lines())
 
         def function(x: Sequence[Any]) -> Any:
-            return part.walk(lambda v: v, {"state": dict(zip(used, x, strict=True))})[-1]
+            return part.walk(lambda v: v, {"state": dict(zip(used, x, strict=True))}, None, [place])[place]
 
         names = [self.names[k] for k in used]
         zeros = zero_set(formula, names, [Fraction(0)] * len(used)) or {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -12,9 +12,11 @@ import numpy as np
 from flint import arb, arb_mat, ctx, fmpq
 
 from pbcgen.control import velocity_witness
-from pbcgen.control.attraction_witness import eliminate, growth, monotone, read, steps_to_rest, uniqueness
+from pbcgen.control.alone_witness import Circuit, alone
+from pbcgen.control.attraction_witness import combined, eliminate, read, steps_to_rest
 from pbcgen.control.derive import Derivation
 from pbcgen.control.dissipation_witness import sampled_damping
+from pbcgen.control.growth_witness import convex_growth, growth
 from pbcgen.control.settings_witness import adjustable
 from pbcgen.control.velocity_witness import SQUARES, squares
 from pbcgen.control.writing import Writing
@@ -26,10 +28,12 @@ from pbcgen.proof.tree import tree
 from pbcgen.reading.growth import GLOBAL
 from pbcgen.reading.system import Fails
 from pbcgen.symbolic.linear import Inconsistent, Row, reduce_rows, solve
-from pbcgen.symbolic.plain.elimination import Elimination
+from pbcgen.symbolic.plain.elimination import Elimination, put_in
 from pbcgen.symbolic.plain.formulas import rational
-from pbcgen.symbolic.plain.matrices import Matrix, krawczyk, stable
-from pbcgen.symbolic.plain.values import Function, Grow, NotCheckable, partial, plain, variables
+from pbcgen.symbolic.plain.matrices import Matrix
+from pbcgen.symbolic.plain.spectra import krawczyk, stable
+from pbcgen.symbolic.plain.values import Function, Grow, NotCheckable, plain, sign, variables
+from pbcgen.symbolic.plain.values import partial as slope_by
 from pbcgen.symbolic.real import approximate, fraction, midpoint
 from pbcgen.verify.claims import LARGEST_ROUTH, bits_for
 from pbcgen.verify.stability import Stability
@@ -107,9 +111,12 @@ class _Work:
         found = (claim.counterexample or {}).get("x")
         if isinstance(found, dict):
             plant = self.derivation.plant
+            numbers = [str(found[name]) for name in (*plant.system.state_names, *plant.system.input_names)]
+            z = [rational(v) for v in numbers]
+            if sign(put_in(system.field, system.power_at(system.constants), z)) == -1:
+                return {"x": numbers}
             if plant.exact(ca.vertcat(plant.system.f, plant.system.S))[0].atoms:
                 return None
-            numbers = [str(found[name]) for name in (*plant.system.state_names, *plant.system.input_names)]
             return {"set": {str(k): self.terms.put(f"constant {v}") for k, v in enumerate(numbers)}, "z": numbers}
         chain = Elimination(system.field, [system.field.lift(0)] * len(symbols), system.rows)
         eliminate(chain, self.terms, [*symbols[n:], *symbols[:n]])
@@ -117,16 +124,16 @@ class _Work:
         return {"set": set_, "z": [str(fmpq(3 * k + 1, 64 * k + 70)) for k in symbols]}
 
     def limited(self, claim: Claim) -> Witness:
-        """`saturation` where a force is compensated and bounds of its terms do not suffice: a period in boxes."""
-        if not self.system.compensated:
+        """`saturation` where a force is compensated and bounds of its terms do not suffice: the domain, or a period."""
+        system, trees = self.system, dict[str, str | None]()
+        if not system.compensated:
             return None
         if claim.status is Status.REFUTED:
             return {"q": list((claim.counterexample or {})["x"].values())}
-        trees = {}
-        for k, room in enumerate(self.system.rooms):
-            least, size = self.system.field.bound(room)
+        for k, room in enumerate(system.rooms):
+            least, size = system.field.bound(room, {}) if system.field.bounded(room) else (fmpq(0), fmpq(1))
             if least < size:
-                box, function = self.system.on_period(room)
+                box, function = system.on_period(room)
                 trees[str(k)] = tree(function, [(fraction(lo), fraction(hi)) for lo, hi in box], {}, _MOST_BOXES)
         return {"trees": trees} if trees and None not in trees.values() else None
 
@@ -147,8 +154,8 @@ class _Work:
         return None if storage is None else {"P": storage}
 
     def _by_steps(self) -> Witness:
-        found = steps_to_rest(self.system, self.terms)
-        return None if found is None else found[1]
+        isolated = sign(arb_mat(self.system.continuous).det()) in (1, -1)
+        return steps_to_rest(self.system, self.terms) if isolated else None
 
     def _by_storage(self) -> Witness:
         """The Lyapunov function's steps: those of the global claim, if that is proved."""
@@ -204,6 +211,9 @@ class _Work:
 
     @cached_property
     def _attraction(self) -> Witness:
+        return self.terms.first([self._attracted])
+
+    def _attracted(self, terms: Writing) -> Witness:
         circuit = self.derivation.plant.system.circuit
         currents, weight = [], []  # type: list[Any], list[list[fmpq]]
         if circuit is not None:
@@ -214,17 +224,24 @@ class _Work:
             places = [scratch.quotient(v) for v in w.column(zero)]
             values = read(self.system, scratch)
             currents = [values[place] for place in places]
-        grown = growth(self.system, self.terms, currents, weight, self._factors())
-        if grown is None:
-            grown = growth(self.system, self.terms, [], [])
-        found = steps_to_rest(self.system, self.terms)
-        alone = None if found is None else uniqueness(self.system, found[0], self.terms, self._power)
-        if found is not None and circuit is not None and (grown is None or alone is None):
-            by_currents = monotone(self.system, self.terms, currents, weight, self._charges())
-            return None if by_currents is None else found[1] | by_currents
-        if grown is None or found is None or alone is None:
+        kinetic = self._factors()
+        ways = [partial(growth, self.system, kinetic=kinetic)]
+        ways += [partial(growth, self.system, currents=currents, weight=weight)] if currents else []
+        grown = terms.first([*ways, partial(convex_growth, self.system, kinetic=kinetic)])
+        found = None if grown is None else steps_to_rest(self.system, terms)
+        if grown is None or found is None:
             return None
-        return grown | found[1] | alone
+        by_itself = alone(self.system, terms, self._power, self._as_circuit(currents))
+        return None if by_itself is None else grown | found | {"alone": by_itself}
+
+    def _as_circuit(self, currents: list[Any]) -> Circuit | None:
+        """What is known of a circuit, where gamma is linear in its currents."""
+        if not currents:
+            return None
+        rows, charges = [combined(g, currents, True) for g in self.system.column("gamma")], self._charges()
+        if any(row is None for row in rows) or any(v is None for row in charges for v in row):
+            return None
+        return Circuit(currents, [row or {} for row in rows], charges)
 
     def _charges(self) -> list[list[Any]]:
         """Q of a circuit, with ``Q x' = grad P + g_tilde u``."""
@@ -251,7 +268,7 @@ class _Work:
         parts = [values[places.entries[k, 0]] for k in range(both.numel())]
         return [*zip(parts[::2], parts[1::2], strict=True)]
 
-    def _power(self) -> list[list[int | None]]:
+    def _power(self, terms: Writing) -> list[list[int | None]]:
         """The places of N with ``grad S = N f``: A, or the inverse of F."""
         structure, plant = self.derivation.structure, self.derivation.plant
         if structure is None or structure.remainder.nnz():
@@ -265,7 +282,7 @@ class _Work:
             if any(column is None for column in columns):
                 return []
             rows = [[column[i] for column in columns if column is not None] for i in size]
-        return [[None if v.is_zero() else self.terms.quotient(v) for v in row] for row in rows]
+        return [[None if v.is_zero() else terms.quotient(v) for v in row] for row in rows]
 
     def _second(self, claim: Claim) -> Witness:
         """The other equilibrium, to many digits."""
@@ -278,14 +295,15 @@ class _Work:
         u = -np.linalg.lstsq(g, f, rcond=None)[0].ravel()
         if system.compensated:
             V = system.potential(variables([fmpq(int(v * 2**60), 2**60) for v in x[: system.half]]), fmpq)
-            u = u - np.array([approximate(partial(V, k)) for k in range(system.half)])
+            u = u - np.array([approximate(slope_by(V, k)) for k in range(system.half)])
         z = [fmpq(int(v * 2**60), 2**60) for v in (*x, *u)]
+        left = system.left(system.along(system.standing), range(system.n))
         for _ in range(_ROUNDS):
-            value = system.rest_equations(variables(z))
-            slope = arb_mat([[partial(v, k) for k in range(len(z))] for v in value])
+            value = left(variables(z))
+            slope = arb_mat([[slope_by(v, k) for k in range(len(z))] for v in value])
             step = slope.solve(arb_mat([[arb(plain(v))] for v in value]))
             z = [_rounded(v - step[k, 0], _PLACES) for k, v in enumerate(z)]
-        if krawczyk(system.rest_equations, z, rational(_RADIUS)) is None:
+        if krawczyk(left, z, rational(_RADIUS)) is None:
             return None
         return {"centre": [_text(v, _PLACES) for v in z], "radius": _RADIUS}
 

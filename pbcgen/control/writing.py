@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import copy
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
-from typing import Any
+from typing import Any, TypeVar
 
 from flint import fmpq_mpoly
 
@@ -13,6 +14,8 @@ from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.plain.values import Function
 from pbcgen.symbolic.real import fraction
 from pbcgen.symbolic.tape import Constant, Input, Matrix, Tape
+
+T = TypeVar("T")
 
 
 class Writing:
@@ -23,6 +26,16 @@ class Writing:
         self._place: dict[str, int] = {}
         self._outputs: list[str] = []
         self._symbols: dict[int, int] = {}
+
+    def first(self, ways: Iterable[Callable[[Writing], T | None]]) -> T | None:
+        """What the first way finds that finds something; nothing is written by those that do not."""
+        for way in ways:
+            trial = copy.deepcopy(self)
+            found = way(trial)
+            if found is not None:
+                self.__dict__.update(trial.__dict__)
+                return found
+        return None
 
     def lines(self) -> list[str]:
         """Indented instructions, then the outputs with their shapes and entries."""

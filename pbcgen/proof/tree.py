@@ -57,6 +57,27 @@ def tree(
         return "".join(written) if shown("".join(written), box, function, at) else None
 
 
+def cover(box: Box, holds: Callable[[str, Box], bool], kinds: str, boxes: int) -> str | None:
+    """A tree whose leaves hold by one of these kinds, or None if so many boxes do not suffice."""
+    written: list[str] = []
+    waiting: list[tuple[Box, int]] = [(box, 0)]
+    for _ in range(boxes):
+        if not waiting:
+            return "".join(written)
+        part, depth = waiting.pop()
+        kind = next((k for k in kinds if holds(k, part)), None)
+        if kind is not None:
+            written.append(kind)
+            continue
+        if depth > _DEEPEST:
+            return None
+        k = max(range(len(box)), key=lambda k: (part[k][1] - part[k][0]) / (box[k][1] - box[k][0]))
+        lower, upper = halves(part, k)
+        written.append(chr(ord("a") + k))
+        waiting += [(upper, depth + 1), (lower, depth + 1)]
+    return None if waiting else "".join(written)
+
+
 def _widest(function: Callable[[Sequence[Any]], Any], part: Box, box: Box) -> int:
     """Where the function varies most."""
     value = function(variables([arb(lo).union(arb(hi)) for lo, hi in part]))

@@ -57,8 +57,8 @@ class Model:
 
     def is_constant(self, name: str) -> bool:
         """Whether no state enters a matrix."""
-        needed = [self.formulas.part(place).instructions for place in self.formulas.outputs[name][2].values()]
-        return not any(operation == "state" for instructions in needed for operation, *_ in instructions)
+        needed = self.formulas.needed(self.formulas.outputs[name][2].values())
+        return not any(self.formulas.instructions[k][0] == "state" for k in needed)
 
     def with_settings(self, values: Sequence[Any]) -> Model:
         """The model with other values of what may be set."""

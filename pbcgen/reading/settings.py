@@ -11,10 +11,11 @@ from typing import Any, Self
 from flint import arb, fmpq
 
 from pbcgen.reading.sums import Sums
-from pbcgen.symbolic.plain.boxes import Box, halves, shown
-from pbcgen.symbolic.plain.formulas import Formulas, rational
-from pbcgen.symbolic.plain.matrices import all_stable, dot, inverse, krawczyk, negative, plus, product
-from pbcgen.symbolic.plain.values import Dual, Field, Grow, NotCheckable, partial, plain, sign, variables
+from pbcgen.symbolic.plain.boxes import Box, ball, covered, shown
+from pbcgen.symbolic.plain.formulas import Formulas, Lift, rational
+from pbcgen.symbolic.plain.matrices import dot, negative, product
+from pbcgen.symbolic.plain.spectra import all_stable, inverse, krawczyk
+from pbcgen.symbolic.plain.values import Dual, Field, partial, plain, sign, variables
 
 #: What is kept of a design once it is known, and is another at another x*.
 _AT_X_STAR = (
@@ -46,21 +47,18 @@ class Family(Sums):
             return [*self.point[0], *self.point[1]]
         return self._rest(values, self._solved(values))
 
-    def _rest(self, values: Sequence[Any], z: Sequence[Any], lift: Callable[[fmpq], Any] = fmpq) -> list[Any]:
+    def _rest(self, values: Sequence[Any], z: Sequence[Any], lift: Lift = fmpq) -> list[Any]:
         """The formulas of x* and u* with settings and unknowns put in."""
         return self.written_rest.column("rest", self.written_rest.walk(lift, {"setting": values, "solved": z}))
 
-    def _left(
-        self, values: Sequence[Any], z: Sequence[Any], lift: Callable[[fmpq], Any] = fmpq, standing: bool = False
-    ) -> list[Any]:
+    def _left(self, values: Sequence[Any], z: Sequence[Any], lift: Lift = fmpq, standing: bool = False) -> list[Any]:
         """What the equations of an equilibrium that meets the target leave of zero; ``standing`` systems in (q, v)."""
         x_u = self._rest(values, z, lift)
         x, u = x_u[: self.n], x_u[self.n :]
         found = self.walk(x, lift, dict.fromkeys(self.velocities, lift(fmpq(0))) if standing else None)
-        rates = plus(found["f"], product(found["g"], [[v] for v in u]))
         wanted = {name: lift(value) for name, value in self.model.target.items()}
         wanted |= {name: v for (name, entry, _, _), v in zip(self.model.settings, values, strict=True) if entry is None}
-        return [v for (v,) in rates] + [found[f"target {name}"][0][0] - value for name, value in wanted.items()]
+        return self.misfits(found, u, wanted)
 
     @cached_property
     def unknowns(self) -> int:
@@ -70,19 +68,12 @@ class Family(Sums):
     @cached_property
     def open_rows(self) -> list[int]:
         """The equations that do not vanish with the formulas put in, whatever the settings and unknowns are."""
-        count, settings = len(self.model.settings), (32,)  # type: int, tuple[Any, ...]
-        for _ in range(20):
-            field = Field(count + self.unknowns, *settings)
-            values, z = field.symbols[:count], field.symbols[count:]
-            momenta = self._rest(values, z, field.lift)[self.half : self.n]
-            standing = bool(self.inertia and self.solved is not None) and not any(field.lift(p).top for p in momenta)
-            try:
-                left = self._left(values, z, field.lift, standing)
-            except Grow as larger:
-                settings = larger.args
-                continue
-            return [k for k, v in enumerate(left) if field.lift(v).top]
-        raise NotCheckable("too many arguments")
+        count = len(self.model.settings)
+        field = Field(count + self.unknowns, self.field.pool, self.field.units)
+        values, z = field.symbols[:count], field.symbols[count:]
+        momenta = self._rest(values, z, field.lift)[self.half : self.n]
+        standing = bool(self.inertia and self.solved is not None) and not any(field.lift(p).top for p in momenta)
+        return [k for k, v in enumerate(self._left(values, z, field.lift, standing)) if field.lift(v).top]
 
     def rests(self) -> bool:
         """Whether these are equilibria that meet the target, and the declared one is among them."""
@@ -136,7 +127,7 @@ class Family(Sums):
 
     def spread(self, cell: Box) -> tuple[Self, Self]:
         """The design in the middle of a cell, and over the cell with slopes."""
-        balls = [lo if lo == hi else arb(lo).union(arb(hi)) for lo, hi in cell]
+        balls = [ball(lo, hi) for lo, hi in cell]
         return self.at([(lo + hi) / 2 for lo, hi in cell]), self.at(balls, True)
 
     def passes(self, cell: Box) -> bool:
@@ -152,15 +143,7 @@ class Family(Sums):
 
     def passes_by(self, tree: str) -> bool:
         """Whether every cell of the box passes, the tree saying how it is cut."""
-        letters = iter(tree)
-
-        def look(part: Box) -> bool:
-            letter = next(letters, "")
-            if letter == ".":
-                return self.passes(part)
-            return bool(letter) and all(look(half) for half in halves(part, ord(letter) - ord("a")))
-
-        return look(self.box) and not [*letters]
+        return covered(tree, self.box, lambda kind, part: kind == "." and self.passes(part))
 
     def room(self, k: int) -> Callable[[Sequence[Any]], Any]:
         """What is left to a limit of the inputs, as a function of the settings; the force is not compensated."""

@@ -10,20 +10,10 @@ from flint import fmpq
 
 from pbcgen.reading.system import System, require
 from pbcgen.symbolic.plain.boxes import Box, shown
-from pbcgen.symbolic.plain.elimination import Elimination, put_in
+from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.formulas import Formulas, Malformed, rational
 from pbcgen.symbolic.plain.matrices import Matrix, dot, plus
-from pbcgen.symbolic.plain.values import (
-    AT_ZERO,
-    BOUNDED,
-    INCREASING,
-    NONNEGATIVE,
-    Dual,
-    NotCheckable,
-    apply,
-    partial,
-    plain,
-)
+from pbcgen.symbolic.plain.values import AT_ZERO, INCREASING, Dual, NotCheckable, never_negative, partial, plain
 
 _AMPLITUDES = ("alpha", "alpha_c", "alpha_l", "alpha_psi", "k_p")
 
@@ -80,9 +70,8 @@ class Sums(System):
         chain.solved = {int(k): self.placed[place] for k, place in self.witness[claim]["set"].items()}
         return chain
 
-    def without_squares(self, matrix: Matrix, claim: str, name: str = "squares") -> Matrix:
+    def without_squares(self, matrix: Matrix, claim: str, squares: Sequence[Any] | None) -> Matrix:
         """The matrix without ``sum weight * factors * v v^T``: positive weights, factors that are never negative."""
-        squares = self.witness[claim].get(name)
         if squares is None:
             raise NotCheckable("the certificate holds no decomposition into squares")
         for weight, factors, places in squares:
@@ -94,9 +83,9 @@ class Sums(System):
             matrix = plus(matrix, [[scale * a * b for b in vector] for a in vector], -1)
         return matrix
 
-    def nonnegative(self, matrix: Matrix, claim: str) -> None:
-        """The matrix is a sum of squares, on the domain of the claim."""
-        rest = self.without_squares(matrix, claim)
+    def nonnegative(self, matrix: Matrix, claim: str, part: Mapping[str, Any] | None = None) -> None:
+        """The matrix is the sum of squares of a witness or of a part of it, on the domain of the claim."""
+        rest = self.without_squares(matrix, claim, (self.witness[claim] if part is None else part).get("squares"))
         self.zero([v for row in rest for v in row], "the squares do not add up to what they stand for")
 
     def _factor(self, claim: str, kind: str, a: int, b: Any, alone: bool) -> Any:
@@ -111,22 +100,18 @@ class Sums(System):
             if kind == "box":
                 return self._by_boxes(a, *b)
             bound = self.model.domain[self.states[a]][kind == "below"]
-            require(bound is not None, "there is no such bound")
+            require(bound is not None and a >= 0, "there is no such bound")
             return (self.field.symbols[a] - bound) * (1 if kind == "above" else -1)
-        left = self.placed[a]
-        if alone:
-            require(kind in NONNEGATIVE | BOUNDED, "a factor has no sign")
-            return apply(kind, left) if kind in NONNEGATIVE else 1 - apply(kind, left) * apply(kind, left)
-        require(kind in INCREASING and (b is not None or kind in AT_ZERO), "a factor has no sign")
-        right = self.field.lift(0) if b is None else self.placed[b]
-        return (apply(kind, left) - apply(kind, right)) * (left - right)
+        found = never_negative(kind, self.placed[a], self.field.lift(0) if b is None else self.placed[b], alone)
+        require(found is not None and (alone or b is not None or kind in AT_ZERO), "a factor has no sign")
+        return found
 
     def _by_boxes(self, place: int, tree: str, used: Sequence[int], zeros: Mapping[str, str]) -> Any:
         """A term that is nonnegative on the domain of the states it uses; it and its slopes vanish at the zeros."""
-        part, at = self.terms.part(place), {int(k): rational(v) for k, v in zeros.items()}
+        at = {int(k): rational(v) for k, v in zeros.items()}
 
         def value(x: Sequence[Any], lift: Callable[[Any], Any] = fmpq) -> Any:
-            return part.walk(lift, {"state": dict(zip(used, x, strict=True))})[-1]
+            return self.terms.walk(lift, {"state": dict(zip(used, x, strict=True))}, None, [place])[place]
 
         symbols = [self.still(at[k]) if k in at else self.still(self.field.symbols[j]) for k, j in enumerate(used)]
         moved = [Dual(s.value, {k: fmpq(1)}) if k in at else s for k, s in enumerate(symbols)]
@@ -147,31 +132,29 @@ class Sums(System):
         return [self.field.lift(v) for v in left] if self.compensated else left
 
     def on_period(self, function: Any) -> tuple[Box, Callable[[Sequence[Any]], Any]]:
-        """A box that holds a period of each angle that a function depends on, and the function of these angles.
+        """A box that holds the domain, or a period, of each position that a function depends on, and the function.
 
-        All states must occur inside sines and cosines, each with one frequency.
+        Without a domain it must occur inside sines and cosines with one frequency.
         """
-        field, degrees = self.field, function.top.degrees()
-        frequencies: dict[int, Any] = {}
-        atoms = [*field.atoms.items()]
-        for (kind, _, _), a in (atoms[field.pool - 1 - k] for k in range(field.pool) if degrees[k]):
-            periodic = kind in ("sin", "cos") and a.top.total_degree() == 1 and a.bottom.is_constant()
-            for exponents, c in a.top.to_dict().items() if periodic else ():
-                k, frequency = [*map(int, exponents), 1].index(1), abs(c / a.bottom.leading_coefficient())
-                inside = field.pool <= k < len(exponents)
-                periodic = periodic and inside and frequencies.setdefault(k, frequency) == frequency
-            if not periodic:
-                raise NotCheckable("a function is not periodic in its states")
-        if any(degrees[field.pool :]) or not function.bottom.is_constant():
-            raise NotCheckable("a function is not periodic in its states")
-        order = sorted(frequencies)
+        field, box, degrees = self.field, dict[int, tuple[Any, Any]](), function.top.degrees()
+        atoms = [atom for i, atom in enumerate(field.atoms.items(), 1) if degrees[field.pool - i]]
+        for k in sorted(function.used):
+            inside = [(kind in ("sin", "cos"), slopes(field, a)[k]) for (kind, _, _), a in atoms if k in a.used]
+            frequencies = {periodic and abs(slope.number() or 0) for periodic, slope in inside}
+            lo, hi = self.model.domain.get(self.states[k], (None, None))
+            if lo is None or hi is None:
+                outside = degrees[field.pool + k] or not function.bottom.is_constant()
+                if outside or len(frequencies) != 1 or not min(frequencies):
+                    raise NotCheckable("a function is not periodic in its states")
+                hi = fmpq(22, 7) / frequencies.pop()  # 22/7 > pi
+                lo = -hi
+            box[k] = lo, hi
 
         def value(x: Sequence[Any]) -> Any:
-            place = dict(zip(order, x, strict=True))
-            return put_in(field, function, [place.get(field.pool + k, fmpq(0)) for k in range(len(field.symbols))])
+            place = dict(zip(box, x, strict=True))
+            return put_in(field, function, [place.get(k, fmpq(0)) for k in range(len(field.symbols))])
 
-        halves = [fmpq(22, 7) / frequencies[k] for k in order]  # 22/7 > pi
-        return [(-half, half) for half in halves], value
+        return [*box.values()], value
 
     def on_box(self, claim: str) -> bool:
         """Whether the claim is stated on the domain of the model."""

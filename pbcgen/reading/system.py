@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -10,22 +10,10 @@ from flint import arb, fmpq, fmpq_mat
 
 from pbcgen.reading.model import Model
 from pbcgen.reading.velocity import solves
-from pbcgen.symbolic.plain.elimination import Elimination, slopes
-from pbcgen.symbolic.plain.formulas import Formulas, rational
-from pbcgen.symbolic.plain.matrices import (
-    Matrix,
-    blocks,
-    diagonal,
-    dot,
-    inverse,
-    krawczyk,
-    negative,
-    plus,
-    product,
-    transpose,
-    zero_order_hold,
-)
-from pbcgen.symbolic.plain.values import Dual, Field, Function, NotCheckable, apply, partial, plain, sign, variables
+from pbcgen.symbolic.plain.formulas import Formulas, Known, Lift, rational
+from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, negative, plus, product, symmetric, transpose
+from pbcgen.symbolic.plain.spectra import inverse, krawczyk, zero_order_hold
+from pbcgen.symbolic.plain.values import Dual, Field, Function, NotCheckable, partial, plain, sign, variables
 
 
 class Fails(Exception):
@@ -54,9 +42,7 @@ class System:
         self.field = Field(self.n + self.m + len(self.inertia), *settings)
         self.field.whole = bool(document.get("whole_angles", False))
 
-    def walk(
-        self, state: Sequence[Any], lift: Callable[[fmpq], Any] = fmpq, known: Mapping[int, Any] | None = None
-    ) -> dict[str, Matrix]:
+    def walk(self, state: Sequence[Any], lift: Lift = fmpq, known: Known = None) -> dict[str, Matrix]:
         """All named matrices of the model and of the formulas at a state of any kind of value."""
         found: dict[str, Matrix] = {}
         inputs = {"state": state, "parameter": [lift(p) for p in self.model.parameters]}
@@ -91,19 +77,19 @@ class System:
         if self.inertia:
             raise NotCheckable("this is not known in positions and velocities")
 
-    def state_at(self, z: Sequence[Any], lift: Callable[[fmpq], Any]) -> list[Any]:
+    def state_at(self, z: Sequence[Any], lift: Lift) -> list[Any]:
         """The state with these coordinates: (q, M v) for (q, v), else z itself."""
         rows = self.mass(z, lift)
         return [*z[: self.half], *(dot(row, z[self.half :]) for row in rows)] if rows else list(z)
 
-    def mass(self, z: Sequence[Any], lift: Callable[[fmpq], Any]) -> Matrix:
+    def mass(self, z: Sequence[Any], lift: Lift) -> Matrix:
         """M at these positions."""
         inputs = {"state": z[: self.half], "parameter": [lift(p) for p in self.model.parameters]}
         places = [place for row in self.inertia for place in row if place is not None]
         values = self.model.formulas.walk(lift, inputs, None, places) if places else []
         return [[fmpq(0) if place is None else values[place] for place in row] for row in self.inertia]
 
-    def moving(self, z: Sequence[Any], lift: Callable[[fmpq], Any]) -> dict[str, Matrix]:
+    def moving(self, z: Sequence[Any], lift: Lift) -> dict[str, Matrix]:
         """All named matrices in these coordinates."""
         shown = self.inertia and self.solved is not None
         known = dict(zip(self.velocities, z[self.half :], strict=True)) if shown else {}
@@ -169,10 +155,9 @@ class System:
         require(len(y) == self.m, "gamma has not one entry for each input")
         gained = [[drift, *[0] * self.m]] + [[v, *[0] * self.m] for v in storage]
         given = [[fmpq(0)] * (self.m + 1), *y]
-        Z = plus(given, gained, -1)
-        return [[(a + b) / 2 for a, b in zip(*rows, strict=True)] for rows in zip(Z, transpose(Z), strict=True)]
+        return symmetric(plus(given, gained, -1))
 
-    def potential(self, q: Sequence[Any], lift: Callable[[fmpq], Any]) -> Any:
+    def potential(self, q: Sequence[Any], lift: Lift) -> Any:
         """The potential energy S(q, 0)."""
         return self.moving([*q, *[lift(fmpq(0))] * self.half], lift)["S"][0][0]
 
@@ -186,8 +171,8 @@ class System:
         """Every function is the zero function, and no divisor so far is."""
         require(all(self.field.lift(v).top.is_zero() for v in functions), otherwise)
         size = [fmpq(11 * k + 3, 7 * k + 10) for k in range(len(self.field.symbols))]
-        points = [[v * (1, a, b, a * b)[k % 4] for k, v in enumerate(size)] for a in (1, -1) for b in (1, -1)]
-        points += [[-v for v in point] for point in points]
+        sides = [(c, c * a, c * b, c * a * b) for a in (1, -1) for b in (1, -1) for c in (1, -1)]
+        points = [[v * side[k % 4] for k, v in enumerate(size)] for side in sides]
         for divisor in self.field.divisors.values():
             values = [arb(self.field.at(divisor, point)) for point in points]
             nonzero = [sign(v) in (1, -1) for v in values if v.is_finite()]
@@ -226,12 +211,15 @@ class System:
         require(self.inside(z, {1}), "x* is not in the interior of the domain")
         return [z[name] for name in self.states], [z[name] for name in self.inputs]
 
-    def _residuals(self, z: Mapping[str, Any], lift: Callable[[fmpq], Any] = fmpq, moving: bool = False) -> list[Any]:
+    def _residuals(self, z: Mapping[str, Any], lift: Lift = fmpq, moving: bool = False) -> list[Any]:
         """``f + g u``, and the differences of the target's expressions from their values."""
         found = (self.moving if moving else self.walk)([z[name] for name in self.states], lift)
-        rates = plus(found["f"], product(found["g"], [[z[name]] for name in self.inputs]))
-        target = [found[f"target {name}"][0][0] - value for name, value in self.model.target.items()]
-        return [row[0] for row in rates] + target
+        return self.misfits(found, [z[name] for name in self.inputs], self.model.target)
+
+    def misfits(self, found: Mapping[str, Matrix], u: Sequence[Any], wanted: Mapping[str, Any]) -> list[Any]:
+        """``f + g u``, and the differences of the target's expressions from what is wanted."""
+        rates = plus(found["f"], product(found["g"], [[v] for v in u]))
+        return [v for (v,) in rates] + [found[f"target {name}"][0][0] - value for name, value in wanted.items()]
 
     def equations(self, known: Mapping[str, fmpq]) -> list[Function]:
         """The same as exact functions of (x, u), some of which are known; zero at an equilibrium that is asked for."""
@@ -268,10 +256,6 @@ class System:
             return plain(value)
         rates = {k: dot([plain(partial(value, j)) for j in range(self.n)], x) for k, x in self.moves.items()}
         return Dual(plain(value), rates)
-
-    def is_regular(self, name: str) -> bool:
-        """Whether a matrix certainly has an inverse at x*; ZeroDivisionError otherwise."""
-        return bool(inverse(self.numbers(name)))
 
     def jacobian(self, column: Matrix) -> Matrix:
         """The Jacobian of a column of duals."""
@@ -336,9 +320,8 @@ class System:
 
     def smooth(self) -> None:
         """No divisor is zero at x*."""
-        point = [*self.settled, *self.resting_input, *[fmpq(0)] * len(self.inertia)]
-        divisors = [self.field.at(divisor, point) for divisor in self.field.all_divisors.values()]
-        require({sign(v) for v in divisors} <= {1, -1}, "a divisor may be zero at x*")
+        divisors = self.field.all_divisors.values()
+        require({sign(self.field.at(v, self.rest_point)) for v in divisors} <= {1, -1}, "a divisor may be zero at x*")
 
     # --- the closed loop -------------------------------------------------------------------------------------------
 
@@ -426,11 +409,6 @@ class System:
         return self.field.symbols[self.n : self.n + self.m]
 
     @property
-    def settled(self) -> list[Any]:
-        """x* in the coordinates of the exact functions, where nothing moves."""
-        return [*self.point[0][: self.half], *[fmpq(0)] * self.half] if self.inertia else self.point[0]
-
-    @property
     def push(self) -> list[Any]:
         """The input where the filters rest: a constant, beside the force that is compensated."""
         constant = self.constants
@@ -460,24 +438,14 @@ class System:
         """This constant at x*."""
         return [fmpq(0)] * self.m if self.compensated else self.point[1]
 
-    def rest_equations(self, z: Sequence[Any]) -> list[Any]:
-        """``f + g u`` with ``u = u_c + c``, and what the filters ask of c; zero at equilibria of the closed loop."""
-        x, c = z[: self.n], z[self.n :]
-        found, u = self.walk(x), c
-        if self.compensated:
-            V = self.potential(variables(x[: self.half]), fmpq)
-            u = [v + partial(V, k) for k, v in enumerate(c)]
-        drift = plus(found["f"], product(found["g"], [[v] for v in u]))
-        w = [[a - b] for a, b in zip(c, self.resting_input, strict=True)]
-        offset = plus(found["gamma"], self.numbers("gamma"), -1)
-        if "K_c" in self.model.gains:
-            offset = plus(offset, product(fmpq_mat(self.model.gains["K_c"]).inv().tolist(), w))
-        pairs = zip(w, self.model.vector("alpha"), self.model.vector("beta"), offset, strict=True)
-        return [v for (v,) in drift] + [v + a * apply("tanh", z * b) for (v,), a, b, (z,) in pairs]
-
-    def compliance(self, chain: Elimination) -> Matrix:
-        """``d gamma / d ubar + K_c^-1``, its symmetric part: (rest) has one solution where this is nonnegative."""
-        along = [slopes(self.field, chain.reduced(v))[self.n : self.n + self.m] for v in self.column("gamma")]
-        soft = [[(a + b) / 2 for a, b in zip(*rows, strict=True)] for rows in zip(along, transpose(along), strict=True)]
+    @cached_property
+    def softness(self) -> Matrix:
+        """``K_c^-1``; zero for a law without filters."""
         K_c = self.model.gains.get("K_c")
-        return soft if K_c is None else plus(soft, fmpq_mat(K_c).inv().tolist())
+        return diagonal([fmpq(0)] * self.m) if K_c is None else fmpq_mat(K_c).inv().tolist()
+
+    @property
+    def rest_point(self) -> list[Any]:
+        """What the symbols are at x*, where nothing moves."""
+        x = [*self.point[0][: self.half], *[fmpq(0)] * self.half] if self.inertia else self.point[0]
+        return [*x, *self.resting_input, *[fmpq(0)] * len(self.inertia)]

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from flint import fmpq
 
-from pbcgen.reading.growth import Growth
+from pbcgen.reading.alone import Alone
+from pbcgen.reading.growth import GLOBAL
 from pbcgen.reading.system import require
 from pbcgen.symbolic.plain.boxes import shown
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
-from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, is_definite, plus, product, transpose
+from pbcgen.symbolic.plain.spectra import inverse
 from pbcgen.symbolic.plain.values import NotCheckable, plain, sign, variables
 
-_EVERYWHERE = {
-    *("assumption-1", "passive-output", "assumption-3", "theta", "gain-definiteness", "measurability"),
-    "globally-asymptotically-stable",
-}
+_EVERYWHERE = {"assumption-1", "passive-output", "assumption-3", "theta", "gain-definiteness", "measurability", GLOBAL}
 _ELSEWHERE = {"all x where the model is defined", "at x*", "near x*", "all inputs"}
 _ELSEWHERE |= {"sampled loop", "sampled loop, all x"}
 
 
-class Assumptions(Growth):
+class Assumptions(Alone):
     """One method for each claim and status; it raises Fails unless the certificate shows the claim."""
 
     def reaches(self, claim: str) -> bool:
@@ -48,24 +46,11 @@ class Assumptions(Growth):
 
     def refuted_equilibrium(self) -> None:
         """What the equations give one after the other leaves one without solution, or a state outside the domain."""
-        nothing = [self.field.lift(0)] * (self.n + self.m)
-        chain = Elimination(self.field, nothing, self.equations({}))
-        self.follow(chain, self.witness["equilibrium"]["steps"])
+        chain = self.follow(Elimination(self.field, [], self.equations({})), self.witness["equilibrium"]["steps"])
         given = {name: chain.solved[k].number() for k, name in enumerate(self.states) if k in chain.solved}
         outside = not self.inside({name: value for name, value in given.items() if value is not None})
         without = any(self.field.everywhere(chain.reduced(e).top) for e in chain.equations)
         require(outside or without, "there may be such an equilibrium")
-
-    def follow(self, chain: Elimination, steps: Sequence[Any]) -> None:
-        """What follows by the steps of a certificate: an equation gives a variable, or its derivative holds too."""
-        for source, *rest in steps:
-            if rest:
-                k, place, *through = rest
-                kind, scale = through or ("", "1")
-                found = chain.solve(source, k, self.vector([place])[0], kind, rational(scale))
-                require(found, "a step does not follow")
-            else:
-                chain.derive(source)
 
     def proved_input_rank(self) -> None:
         """``g^T g > 0`` at x*."""
@@ -96,13 +81,14 @@ class Assumptions(Growth):
         """``S' > u^T gamma'`` for the model's gamma, at a state and an input; or there is no gamma."""
         if "gamma" not in self.model.formulas.outputs:
             return self._no_output()
-        z = [rational(v) for v in self.witness["passive-output"]["x"]]
-        require(self.inside(dict(zip(self.states, z[: self.n], strict=True))), "the state is not in the domain")
-        found, u = self.walk(variables(z[: self.n])), z[self.n :]
-        along = plus(self.jacobian(found["S"]), product([u], self.jacobian(found["gamma"])), -1)
-        rates = plus(found["f"], product(found["g"], [[v] for v in u]))
-        power = product(along, [[plain(v) for v in row] for row in rates])[0][0]
-        return require(sign(power) == 1, "the storage is passive here")
+        return require(sign(self.power_there("passive-output")[0]) == -1, "the storage is passive here")
+
+    def power_there(self, claim: str) -> tuple[Any, Callable[[Any], Any]]:
+        """``u^T gamma' - S'`` at a state and an input of a witness, and the value of other functions there."""
+        self.in_states()
+        z = self.given(claim, "x")
+        require(self.inside(dict(zip([*self.states, *self.inputs], z, strict=True))), "the state is not in the domain")
+        return put_in(self.field, self.power_at(self.constants), z), lambda a: put_in(self.field, self.field.lift(a), z)
 
     def _no_output(self) -> None:
         """What Z(x) >= 0 asks of ``psi = grad gamma_i`` where f = 0 on a set of states, and psi cannot be.
@@ -138,19 +124,14 @@ class Assumptions(Growth):
         """``grad S + grad gamma kappa = 0`` at x*: exactly, or because ``f + g u = 0`` leaves nothing else."""
         if all(sign(v) == 0 for v in self.shaped[0]):
             return
-        f, e, M, rho = (
-            self.functions("f"),
-            transpose(self.slope("S")),
-            self.functions("matrix"),
-            self.functions("remainder"),
-        )
-        g, psi = self.functions("g"), transpose(self.slope("gamma"))
+        f, g, M, rho = map(self.functions, ("f", "g", "matrix", "remainder"))
+        e, psi = transpose(self.slope("S")), transpose(self.slope("gamma"))
         drift_first = self.witness["gradient-condition"]["form"] == "F"
         left, right, out, into = (f, e, g, psi) if drift_first else (e, f, psi, g)
         self.zero([row[0] for row in plus(plus(left, product(M, right), -1), rho)], "there is no such power structure")
         self.zero([v for row in plus(out, product(M, into)) for v in row], "grad gamma does not follow from it")
         require(all(sign(row[0]) == 0 for row in self.numbers("remainder")), "the remainder is not zero at x*")
-        require(not drift_first or self.is_regular("matrix"), "F may be singular at x*")
+        require(not drift_first or inverse(self.numbers("matrix")), "F may be singular at x*")
 
     def refuted_gradient_condition(self) -> None:
         """An entry of the gradient is not zero."""
@@ -196,7 +177,9 @@ class Assumptions(Growth):
         self.nonnegative(plus(self.power, product(transpose(rates), diagonal(Lambda), rates), -1), "assumption-3")
 
     def refuted_assumption_3(self) -> None:
-        """On a set of states and inputs nothing is lost, and an output is not zero."""
+        """On a set of states and inputs nothing is lost, and an output is not zero; or a state gains power."""
+        if "x" in self.witness["assumption-3"]:
+            return require(sign(self.power_there("assumption-3")[0]) == -1, "no power is gained at this state")
         chain, z = self.on_set("assumption-3"), self.given("assumption-3", "z")
         self.zero([chain.reduced(self.power_at(self.constants))], "something is lost on the set")
         place = [put_in(self.field, chain.reduced(v), z) for v in self.field.symbols]
@@ -204,7 +187,7 @@ class Assumptions(Growth):
         one_u = [1, *place[self.n :]]
         rates = [row for name in ("gamma", "eta") if name in self.exact for row in self.rate(name)]
         moving = [dot([put_in(self.field, v, place) for v in row], one_u) for row in rates]
-        require({1, -1} & {sign(v) for v in moving}, "what shall be damped may be at rest")
+        return require({1, -1} & {sign(v) for v in moving}, "what shall be damped may be at rest")
 
     @property
     def theta(self) -> Matrix:
@@ -223,11 +206,21 @@ class Assumptions(Growth):
         require(is_definite(self.theta, semi=True), "Theta is not positive semidefinite")
 
     def refuted_theta(self) -> None:
-        """``v^T Theta v < 0``."""
+        """``v^T Theta v < 0``; or a state and an input at which no Lambda would do, by the Schur complement."""
+        if "x" in self.witness["theta"]:
+            return require(sign(self._spare()) == -1, "the damping suffices at this state")
         if not {"v"} & self.witness["theta"].keys() | {"Lambda_l"} & self.witness["assumption-3"].keys():
             raise NotCheckable("the certificate holds no constants and no direction")
         v = self.given("theta", "v")
-        require(sign(dot(v, [dot(row, v) for row in self.theta])) == -1, "the direction does not show it")
+        return require(sign(dot(v, [dot(row, v) for row in self.theta])) == -1, "the direction does not show it")
+
+    def _spare(self) -> Any:
+        """``u^T gamma' - S' - |Upsilon eta' - y|^2_{(4 K_l R_l)^-1}`` at a state and an input."""
+        power, at = self.power_there("theta")
+        eta, y = ([at(dot(row, [1, *self.constants])) for row in self.rate(name)] for name in ("eta", "gamma"))
+        left = plus(product(self.upsilon(len(eta)), [[v] for v in eta]), [[v] for v in y], -1)
+        gains = (self.model.gains["K_l"][i][i] * self.model.gains["R_l"][i][i] for i in range(self.m))
+        return power - sum(v * v / (4 * k) for (v,), k in zip(left, gains, strict=True))
 
     def proved_measurability(self) -> None:
         """What the law reads is a function of what is measured, up to a constant."""
@@ -254,7 +247,7 @@ class Assumptions(Growth):
             if str(k) in trees:
                 require(shown(trees[str(k)], *self.on_period(room), {}), "the boxes do not show that an input fits")
             else:
-                least, size = self.field.bound(room) if self.compensated else (room, fmpq(0))
+                least, size = self.field.bound(room, {}) if self.compensated else (room, fmpq(0))
                 if self.compensated and least < size:
                     raise NotCheckable("grad V is not bounded closely enough by its terms")
                 require(sign(least - size) in (0, 1), "an input may leave its limits")

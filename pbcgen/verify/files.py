@@ -58,12 +58,10 @@ def _package(directory: Path, document: Mapping[str, Any]) -> Finding:
         manifest = json.loads((directory / MANIFEST).read_text(encoding="utf-8"))
         sums = {name: hashlib.sha256((directory / name).read_bytes()).hexdigest() for name in manifest["files"]}
         changed = [name for name, facts in manifest["files"].items() if sums[name] != facts["sha256"]]
-        verdicts, stated = (
-            [[v[k] for k in _VERDICT] for v in part] for part in (manifest["verdicts"], document["claims"])
-        )
-        same = manifest["model_hash"] == document["model_hash"]
-        headers = [name for name in sums if name.endswith(".h")]
-        strange = [name for name in headers if document["model_hash"] not in (directory / name).read_text("utf-8")]
+        both, model = (manifest["verdicts"], document["claims"]), document["model_hash"]
+        verdicts, stated = ([[v[k] for k in _VERDICT] for v in part] for part in both)
+        same, headers = manifest["model_hash"] == model, [name for name in sums if name.endswith(".h")]
+        strange = [name for name in headers if model not in (directory / name).read_text("utf-8")]
     except (OSError, ValueError, LookupError, TypeError) as error:
         return Finding("package", "", "fails", f"{MANIFEST} or a file that it lists cannot be read: {error}")
     reasons = [f"changed since they were generated: {', '.join(changed)}"] if changed else []

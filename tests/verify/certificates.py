@@ -17,7 +17,9 @@ from pbcgen.verify.files import digest
 
 #: Numbers that prove nothing, or that others could stand for: names of methods, the width of a box, the last digits of
 #: its centre, a direction in which a form is negative, which of the equations that say the same is taken.
-IDLE = re.compile(r'"steps": \[[^"]*\[$|"method": "[^"]*$|"radius": "[^"]*$|"-?\d{60}\d*$|"rows": \[?$|"v": \[[^]]*$')
+IDLE = re.compile(
+    r'"steps": \[[^"]*\[$|"method": "[^"]*$|"radius": "[^"]*$|"-?\d{60}\d*$|"rows": \[?$|"rows": \[\{"$|"v": \[[^]]*$'
+)
 
 REFERENCE = ("coupling_device", "rlc", "pera", "pera_integral")
 

@@ -312,6 +312,86 @@ def quartic_coupling():
     return _design(_two(lambda a, b: (a - b) ** 4 / 4 + (a - b) ** 2 / 2, lambda a, b: [0, b**2]), {"q1": 1})
 
 
+def balanced_link():
+    """Gravity behind a spring: all rests lie in a box of the motor's angle and the torque."""
+    return load("elastic_pendulum")
+
+
+def stiff_pendulum(gravity=2, law=None):
+    return _design(_one(lambda q: gravity * (1 - ca.cos(q))), {"q": "0.4"}, law or DynamicExtension(30, 2, 50, 1))
+
+
+def heavy_pendulum():
+    """With so much gravity it hangs at other angles, too."""
+    return stiff_pendulum(40, DynamicExtension(30, 2, 50, 1))
+
+
+def double_well():
+    """The quartic term makes the storage grow, the stiff law leaves one rest."""
+    return _design(_one(lambda q: q**4 / 4 - q**2 / 2), {"q": "1.5"}, DynamicExtension(30, 2, 50, 1))
+
+
+def diode(load=lambda v: ca.exp(v) - 1):
+    """A circuit whose load has no least slope: only together its currents grow with its state."""
+    return cubic_load(lambda v: v / 100 + load(v) / 50)
+
+
+def plain_diode():
+    i, v = _symbols("i", "v")
+    circuit = Circuit([i], [v], L=[1], C=[1], Gamma=[[1]], v_R=[i], i_G=[ca.exp(v) - 1], g_L=[-1])
+    return _design(circuit, {"v": "0.5"}, near={"i": 1})
+
+
+def falling_diode():
+    """The same with a characteristic that falls somewhere."""
+    i, v = _symbols("i", "v")
+    circuit = Circuit([i], [v], L=[1], C=[1], Gamma=[[1]], v_R=[i], i_G=[3 * v**3 - v], g_L=[-1])
+    return _design(circuit, {"v": "0.5"}, near={"i": 1})
+
+
+def one_sided_spring():
+    """A storage that grows because it is convex and x* its strict minimum: u* exceeds the amplitude."""
+    return _design(_one(ca.exp), {"q": 1})
+
+
+def softened_spring():
+    return _design(_one(lambda q: ca.exp(q) - 2 * q**2), {"q": 0})
+
+
+def seen_mode(V=lambda a, b: a**2 + b**2 + a * b**2 / 3 + b**4 / 4):
+    """On the invariant set a product vanishes: each of its factors stops the second mass."""
+    return _design(_two(V, lambda a, b: [0, 0]), {"q1": 0}, near={"q2": 0})
+
+
+def unseen_mode():
+    return seen_mode(lambda a, b: a**2 + b**2 + b**4 / 4)
+
+
+def smoothly_loaded():
+    """A potential that a logarithm of what is positive makes smooth everywhere."""
+    V = lambda q: 20 * ca.log(ca.cosh(q / 20)) - ca.cos(q)  # noqa: E731
+    return _design(_one(V), {"q": 0}, PotentialCompensation(1, 1, 1, 1))
+
+
+def spring_on_a_domain():
+    """The compensated force is bounded on the domain only."""
+    law = PotentialCompensation(2, 1, 1, 1)
+    return _design(_one(lambda q: 3 * q**2 / 2, domain={"q": (-1, 1)}), {"q": "0.5"}, law, limits=Limits.symmetric(5))
+
+
+def weakly_damped(friction=lambda b, v: (b - 1.7) ** 2):
+    """Natural damping by a friction that vanishes somewhere."""
+    q1, q2, p1, p2 = _symbols("q1", "q2", "p1", "p2")
+    V = q1**2 + q2**2 + (q1 - q2) ** 2
+    system = Mechanical([q1, q2], [p1, p2], M=[1, 2], V=V, D=[1, friction(q2, p2)], G=[1, 0], eta=[q2])
+    law = NaturalDamping(1, 1, 1, 1, alpha_l=1, beta_l=1, K_l=5, R_l=5)
+    return _design(system, {"q1": 0, "q2": 0}, law)
+
+
+def partly_negative_damping():
+    return weakly_damped(lambda b, v: b)
+
+
 DESIGNS = {
     f.__name__: f
     for f in (
@@ -353,5 +433,20 @@ DESIGNS = {
         tunnel_diode,
         shunt,
         quartic_coupling,
+        balanced_link,
+        stiff_pendulum,
+        heavy_pendulum,
+        double_well,
+        diode,
+        plain_diode,
+        falling_diode,
+        one_sided_spring,
+        softened_spring,
+        seen_mode,
+        unseen_mode,
+        smoothly_loaded,
+        spring_on_a_domain,
+        weakly_damped,
+        partly_negative_damping,
     )
 }

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from pbcgen.control.writing import Writing
 from pbcgen.symbolic.plain.formulas import Formulas, rational
-from pbcgen.symbolic.plain.matrices import is_definite, krawczyk, stable
+from pbcgen.symbolic.plain.matrices import is_definite
+from pbcgen.symbolic.plain.spectra import krawczyk, stable
 from pbcgen.symbolic.plain.values import Field, Grow, NotCheckable, apply, partial, plain, power, sign, variables
 from pbcgen.symbolic.real import REAL, approximate, precision
 from pbcgen.symbolic.real import rational as exact

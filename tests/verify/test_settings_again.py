@@ -17,7 +17,7 @@ from pbcgen.control.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.proof.claim import Status
 from pbcgen.symbolic.plain.formulas import rational
-from pbcgen.symbolic.plain.matrices import all_stable, inverse, zero_order_hold
+from pbcgen.symbolic.plain.spectra import all_stable, inverse, zero_order_hold
 from pbcgen.symbolic.plain.values import Dual, partial, plain, variables
 
 pytestmark = pytest.mark.system

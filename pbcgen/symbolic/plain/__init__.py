@@ -5,5 +5,6 @@ only. CasADi is not needed.
 
     values     numbers, exact functions, derivatives
     formulas   numbered instructions and their outputs
-    matrices   products, definiteness, eigenvalues
+    matrices   products, definiteness
+    spectra    zeros of functions, eigenvalues
 """

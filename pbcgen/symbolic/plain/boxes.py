@@ -26,12 +26,17 @@ LEAVES = ".,;:"
 
 def shown(tree: str, box: Box, function: Callable[[Sequence[Any]], Any], zeros: Mapping[int, fmpq]) -> bool:
     """Whether the tree shows that the function is nonnegative on the box."""
+    return covered(tree, box, lambda kind, part: leaf(kind, part, function, zeros))
+
+
+def covered(tree: str, box: Box, holds: Callable[[str, Box], bool]) -> bool:
+    """Whether the tree cuts the box into parts, and what its leaf says holds on each."""
     letters = iter(tree)
 
     def look(part: Box) -> bool:
         letter = next(letters, "")
         if letter and letter in LEAVES:
-            return leaf(letter, part, function, zeros)
+            return holds(letter, part)
         return bool(letter) and all(look(half) for half in halves(part, ord(letter) - ord("a")))
 
     return look(box) and not [*letters]
@@ -49,32 +54,33 @@ def halves(box: Box, k: int) -> tuple[Box, Box]:
 def leaf(kind: str, box: Box, function: Callable[[Sequence[Any]], Any], zeros: Mapping[int, fmpq]) -> bool:
     """Whether the function is nonnegative on the box by one of the kinds of evidence."""
     if kind == ".":
-        return bool(function([_ball(lo, hi) for lo, hi in box]) >= 0)
+        return bool(function([ball(lo, hi) for lo, hi in box]) >= 0)
     if kind == ":":
         hull = [(min(lo, zeros.get(k, lo)), max(hi, zeros.get(k, hi))) for k, (lo, hi) in enumerate(box)]
         return bool(zeros and is_definite(_hessian(function, hull, [*zeros])))
-    value = function(variables([_ball(lo, hi) for lo, hi in box]))
+    value = function(variables([ball(lo, hi) for lo, hi in box]))
     slopes = [partial(value, k) for k in range(len(box))]
     if not all(arb(v).is_finite() for v in (plain(value), *slopes)):
         return False  # a jump has slope zero on both sides
     if kind == ",":
         centre = [(lo + hi) / 2 for lo, hi in box]
-        steps = [_ball(lo - c, hi - c) for (lo, hi), c in zip(box, centre, strict=True)]
+        steps = [ball(lo - c, hi - c) for (lo, hi), c in zip(box, centre, strict=True)]
         return bool(function(centre) + dot(slopes, steps) >= 0)
     face = [
-        lo if slope >= 0 else hi if slope <= 0 else _ball(lo, hi) for (lo, hi), slope in zip(box, slopes, strict=True)
+        lo if slope >= 0 else hi if slope <= 0 else ball(lo, hi) for (lo, hi), slope in zip(box, slopes, strict=True)
     ]
     return bool(function(face) >= 0)
 
 
 def _hessian(function: Callable[[Sequence[Any]], Any], box: Box, chosen: Sequence[int]) -> Matrix:
     """Second derivatives in the chosen coordinates over the box."""
-    balls: list[Any] = [_ball(lo, hi) for lo, hi in box]
+    balls: list[Any] = [ball(lo, hi) for lo, hi in box]
     for k, dual in zip(chosen, variables([balls[k] for k in chosen], 2), strict=True):
         balls[k] = dual
     value, size = function(balls), range(len(chosen))
     return [[plain(partial(partial(value, i), k)) for k in size] for i in size]
 
 
-def _ball(lo: fmpq, hi: fmpq) -> Any:
+def ball(lo: fmpq, hi: fmpq) -> Any:
+    """All numbers between two rationals."""
     return lo if lo == hi else arb(lo).union(arb(hi))

@@ -46,16 +46,12 @@ class Elimination:
         self.field, self.rates, self.equations = field, list(rates), list(equations)
         self.solved: dict[int, Function] = {}
 
-    def reduced(self, a: Function) -> Function:
-        """The function with the solved variables put in."""
-        return self._with(self.solved, a)
-
-    def _with(self, values: Mapping[int, Function], a: Function) -> Function:
-        """The function with these values of variables put in, where one may occur."""
-        if not any(j < self.field.pool or j - self.field.pool in values for j in a.used):
+    def reduced(self, a: Function, values: Mapping[int, Function] | None = None) -> Function:
+        """The function with the solved variables, or other values, put in where they may occur."""
+        values = self.solved if values is None else values
+        if not a.used & values.keys():
             return a
-        point = [values.get(k, symbol) for k, symbol in enumerate(self.field.symbols)]
-        return self.field.lift(put_in(self.field, a, point))
+        return self.field.lift(put_in(self.field, a, [values.get(k, v) for k, v in enumerate(self.field.symbols)]))
 
     def derive(self, source: int) -> None:
         """Add the derivative of an equation along the trajectories; ``0 = 0`` if it holds variables without a rate."""
@@ -70,23 +66,22 @@ class Elimination:
         increasing, times a function that vanishes nowhere.
         """
         zero = self.field.symbols[k] - value
-        by = slopes(self.field, value)
-        fresh = k not in self.solved and not any(by[j].top for j in (k, *self.solved))
+        fresh = k not in self.solved and not value.used & {k, *self.solved}
         if not fresh or (kind and (kind not in ODD or scale == 0)):
             return False
-        e, gone = self.reduced(self.equations[source]), apply(kind, zero * scale) if kind else zero
-        for _ in range(max(1, int(e.top.total_degree()))):
-            e = self.field.quotient(e.top * gone.bottom, gone.top)
-            if self.field.everywhere(e.top):
-                break
-        else:
+        if not self.leaves(source, apply(kind, zero * scale) if kind else zero):
             return False
-        self.assume(k, value)
+        self.solved = {j: self.reduced(a, {k: value}) for j, a in self.solved.items()} | {k: value}
         self.equations.append(zero)
         self.derive(-1)
         del self.equations[-2]
         return True
 
-    def assume(self, k: int, value: Function) -> None:
-        """Put a value of a variable in everywhere."""
-        self.solved = {j: self._with({k: value}, a) for j, a in self.solved.items()} | {k: value}
+    def leaves(self, source: int, gone: Function) -> bool:
+        """Whether an equation is a power of this function times a function that vanishes nowhere."""
+        e = self.reduced(self.equations[source])
+        for _ in range(max(1, int(e.top.total_degree()))):
+            e = self.field.quotient(e.top * gone.bottom, gone.top)
+            if self.field.everywhere(e.top):
+                return True
+        return False

@@ -15,6 +15,11 @@ from pbcgen.symbolic.plain.values import apply
 #: Instructions whose operand is a number or the position of an input.
 _LEAVES = {"constant", "state", "input", "parameter", "measured", "setting", "solved"}
 
+#: What makes a value of a number; a sequence for each operation that reads one; values of instructions.
+Lift = Callable[[fmpq], Any]
+Inputs = Mapping[str, Any]
+Known = Mapping[int, Any] | None
+
 
 class Malformed(Exception):
     """The text does not follow the format."""
@@ -43,7 +48,8 @@ class Formulas:
         for line in lines:
             if line.startswith(" "):
                 number, *instruction = line.split()
-                if int(number) != len(formulas.instructions):
+                negative = instruction[0] != "constant" and any(o.startswith("-") for o in instruction[1:])
+                if negative or int(number) != len(formulas.instructions):
                     raise Malformed("the instructions are not numbered in order")
                 formulas.instructions.append(instruction)
             elif match := re.fullmatch(r"(.+) (\d+)x(\d+)((?: \d+,\d+:\d+)*)", line):
@@ -52,19 +58,13 @@ class Formulas:
                 formulas.outputs[match[1]] = (int(match[2]), int(match[3]), entries)
         return formulas
 
-    def walk(
-        self,
-        lift: Callable[[fmpq], Any],
-        inputs: Mapping[str, Any],
-        known: Mapping[int, Any] | None = None,
-        wanted: Iterable[int] | None = None,
-    ) -> list[Any]:
+    def walk(self, lift: Lift, inputs: Inputs, known: Known = None, wanted: Iterable[int] | None = None) -> list[Any]:
         """The value of every instruction; ``inputs`` has a sequence for each operation that reads one.
 
         With ``wanted`` only of what these instructions need, where some are ``known``; the others are None.
         """
         values: list[Any] = []
-        known, needed = known or {}, None if wanted is None else self._needed(wanted, known or {})
+        known, needed = known or {}, None if wanted is None else self.needed(wanted, known or {})
         for k, (name, *operands) in enumerate(self.instructions):
             if k in known:
                 values.append(known[k])
@@ -78,28 +78,13 @@ class Formulas:
                 values.append(apply(name, *[values[int(o)] for o in operands]))
         return values
 
-    def part(self, place: int) -> Formulas:
-        """The instructions that one of them needs, it being the last."""
-        needed = self._needed([place], {})
-        order = {k: at for at, k in enumerate(sorted(needed))}
-        kept = [
-            [self.instructions[k][0], *[str(order[int(o)]) for o in self.instructions[k][1:]]]
-            if self._names(k)
-            else self.instructions[k]
-            for k in order
-        ]
-        return Formulas(kept, {})
-
-    def _needed(self, wanted: Iterable[int], known: Container[int]) -> set[int]:
+    def needed(self, wanted: Iterable[int], known: Container[int] = ()) -> set[int]:
+        """The instructions that some of them need, apart from what is known."""
         needed = {*wanted}
         for k in range(max(needed, default=-1), -1, -1):
-            if k in needed and k not in known and self._names(k):
+            if k in needed and k not in known and self.instructions[k][0] not in _LEAVES:
                 needed |= {int(o) for o in self.instructions[k][1:]}
         return needed
-
-    def _names(self, k: int) -> bool:
-        """Whether the operands of an instruction are earlier ones."""
-        return self.instructions[k][0] not in _LEAVES
 
     def matrix(self, name: str, values: Sequence[Any]) -> list[list[Any]]:
         """An output as rows, from the values of the instructions; structural zeros are exact."""

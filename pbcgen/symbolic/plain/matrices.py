@@ -1,15 +1,13 @@
-"""Matrices of numbers or functions as lists of rows, and where the eigenvalues of a matrix of numbers lie."""
+"""Matrices of numbers or functions as lists of rows."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from itertools import permutations
-from math import comb
+from collections.abc import Sequence
 from typing import Any
 
-from flint import acb, acb_mat, arb, arb_mat, fmpq
+from flint import fmpq
 
-from pbcgen.symbolic.plain.values import Dual, partial, plain, sign, times, variables
+from pbcgen.symbolic.plain.values import sign, times
 
 Matrix = list[list[Any]]
 
@@ -37,6 +35,11 @@ def plus(a: Matrix, b: Matrix, scale: Any = 1) -> Matrix:
     return [[x + y * scale for x, y in zip(p, q, strict=True)] for p, q in zip(a, b, strict=True)]
 
 
+def symmetric(a: Matrix) -> Matrix:
+    """``(a + a^T) / 2``."""
+    return [[(x + y) / 2 for x, y in zip(*rows, strict=True)] for rows in zip(a, transpose(a), strict=True)]
+
+
 def negative(a: Matrix) -> Matrix:
     """``-a``."""
     return [[-v for v in row] for row in a]
@@ -51,30 +54,6 @@ def diagonal(entries: Sequence[Any], columns: int | None = None) -> Matrix:
 def blocks(rows: Sequence[Sequence[Matrix]]) -> Matrix:
     """A matrix from its blocks."""
     return [[v for block in row for v in block[i]] for row in rows for i in range(len(row[0]))]
-
-
-def inverse(a: Matrix) -> Matrix:
-    """The inverse in balls, with slopes if there are. Raises ZeroDivisionError if there may be none."""
-    value, slopes = _apart(a)
-    size, parts = range(len(a)), (value, *slopes.values())
-    if all(sign(m[at]) == 0 for m in parts for at in permutations(size, 2)) and all(sign(value[i, i]) for i in size):
-        return diagonal([1 / a[i][i] for i in size])  # sharper
-    found = value.inv()
-    return _together(found, {k: -(found * s * found) for k, s in slopes.items()})
-
-
-def _apart(a: Matrix) -> tuple[arb_mat, dict[int, arb_mat]]:
-    """A matrix of duals as matrices: the values, and the slopes by variable."""
-    keys = {k for row in a for v in row if isinstance(v, Dual) for k in v.slope}
-    slopes = {k: arb_mat([[plain(partial(v, k)) for v in row] for row in a]) for k in sorted(keys)}
-    return arb_mat([[plain(v) for v in row] for row in a]), slopes
-
-
-def _together(value: arb_mat, slopes: dict[int, arb_mat]) -> Matrix:
-    if not slopes:
-        return [[*row] for row in value.tolist()]
-    places = [[(i, j) for j in range(value.ncols())] for i in range(value.nrows())]
-    return [[Dual(value[at], {k: s[at] for k, s in slopes.items()}) for at in row] for row in places]
 
 
 def is_definite(a: Matrix, semi: bool = False) -> bool | None:
@@ -93,129 +72,3 @@ def is_definite(a: Matrix, semi: bool = False) -> bool | None:
             below = rows[k].pop(i, fmpq(0))
             rows[k] |= {j: rows[k].get(j, fmpq(0)) - v * below / pivot for j, v in row.items() if pivot != 0}
     return True
-
-
-def krawczyk(
-    function: Callable[[Sequence[Any]], Sequence[Any]], centre: Sequence[fmpq], radius: fmpq
-) -> list[arb] | None:
-    """Balls that hold the one zero in the box of half-width ``radius (1 + abs(centre))``, or None if the test fails.
-
-    ``m - Y F(m) + (I - Y F'(box)) (box - m)`` must lie in the interior of the box (Krawczyk 1969).
-    """
-    size, half = range(len(centre)), [[arb(0, arb(radius * (1 + abs(c))))] for c in centre]
-    box = [c + h[0] for c, h in zip(centre, half, strict=True)]
-    value, near, over = function(centre), function(variables(centre)), function(variables(box))
-    Y = [[arb(v).mid() for v in row] for row in inverse([[partial(f, k) for k in size] for f in near])]
-    defect = plus(diagonal([arb(1)] * len(box)), product(Y, [[partial(f, k) for k in size] for f in over]), -1)
-    image = plus(product(defect, half), product(Y, [[v] for v in value]), -1)
-    found = [c + row[0] for c, row in zip(centre, image, strict=True)]
-    return found if all(b.contains_interior(k) for b, k in zip(box, found, strict=True)) else None
-
-
-def zero_order_hold(A: Matrix, B: Matrix, h: fmpq) -> tuple[Matrix, Matrix]:
-    """``x' = A x + B u`` with u constant over h: (e^{Ah}, int_0^h e^{As} ds B)."""
-    n, m = len(A), len(B[0])
-    rows = [[v * h for v in (*a, *b)] for a, b in zip(A, B, strict=True)] + [[fmpq(0)] * (n + m)] * m
-    value, slopes = _apart(rows)
-    held = _together(value.exp(), {k: _slope_of_exp(value, s) for k, s in slopes.items()})[:n]
-    return [row[:n] for row in held], [row[n:] for row in held]
-
-
-def _slope_of_exp(a: arb_mat, slope: arb_mat) -> arb_mat:
-    """The derivative of the exponential: a block of that of ``[[a, slope], [0, a]]``."""
-    size, zero = a.nrows(), arb_mat(a.nrows(), a.nrows()).tolist()
-    whole = arb_mat(blocks([[a.tolist(), slope.tolist()], [zero, a.tolist()]])).exp().tolist()
-    return arb_mat([row[size:] for row in whole[:size]])
-
-
-def all_stable(centre: Matrix, over: Matrix, widths: Sequence[fmpq], discrete: bool) -> bool:
-    """Whether every ``centre + sum_k t_k S_k`` with ``abs(t_k) <= widths[k]`` is stable, S_k the slopes in ``over``.
-
-    In the eigenvectors of the centre, with positive weights: by the discs about the entries on the diagonal. Where some
-    eigenvalues nearly meet, their eigenvectors nearly do: then an orthogonal basis of their span serves too.
-    """
-    own, slopes = arb_mat(centre), _apart(over)[1]
-    for apart in (fmpq(0), fmpq(1, 3)):
-        V = _eigenvectors(own, apart)
-        back = V.inv()
-        modal = back * acb_mat(own) * V
-        for k, s in slopes.items():
-            modal += back * acb_mat(s) * V * acb(arb(0, arb(widths[k])))
-        if _in_discs(modal, discrete):
-            return True
-    return False
-
-
-def _eigenvectors(a: arb_mat, apart: fmpq) -> acb_mat:
-    """Columns near the eigenvectors; orthogonal where eigenvalues are nearer than this share of the larger one.
-
-    Lengths are measured with every coordinate relative to its largest entry.
-    """
-    values, V = acb_mat(a.mid()).eig(right=True, algorithm="approx")
-    columns = [[v.mid() for v in column] for column in V.transpose().tolist()]
-    sizes = [max(abs(v).mid() for v in row) ** 2 for row in zip(*columns, strict=True)]
-    group = [*range(len(columns))]
-    for j, b in enumerate(values):
-        linked = {group[i] for i, a in enumerate(values[:j]) if abs(a - b) < max(abs(a).mid(), abs(b).mid()) * apart}
-        group = [j if g in linked else g for g in group]
-    for j, column in enumerate(columns):
-        for i, other in enumerate(columns[:j]):
-            if group[i] == group[j]:
-                turned = [v.conjugate() / s for v, s in zip(other, sizes, strict=True)]
-                share = dot(turned, column) / dot(turned, other)
-                column[:] = [(v - w * share).mid() for v, w in zip(column, other, strict=True)]
-        length = max(abs(v).mid() ** 2 / s for v, s in zip(column, sizes, strict=True)).sqrt().mid()
-        column[:] = [(v / length).mid() for v in column]
-    return acb_mat(transpose(columns))
-
-
-def _in_discs(modal: acb_mat, discrete: bool) -> bool:
-    """Whether every disc about an entry on the diagonal is in the unit disc, or in the left half-plane."""
-    size = range(modal.nrows())
-    margins = [1 - abs(modal[i, i]) if discrete else -modal[i, i].real for i in size]
-    radii = [[abs(modal[i, j]) * int(i != j) for j in size] for i in size]
-    reach = plus(diagonal([m.mid() for m in margins]), [[r.abs_upper() for r in row] for row in radii], -1)
-    weights = [d.mid() for (d,) in arb_mat(reach).solve(arb_mat([[1]] * len(margins))).tolist()]
-    return all(d > 0 and dot(row, weights) < m * d for d, row, m in zip(weights, radii, margins, strict=True))
-
-
-def stable(a: Matrix, discrete: bool, storage: Matrix | None = None) -> bool | None:
-    """Whether all eigenvalues lie in the open left half-plane (unit disc); False when one is certainly beyond.
-
-    Given a symmetric storage P that decreases, ``-(A^T P + P A) > 0`` (or ``P - A^T P A > 0``), no eigenvalue is on the
-    boundary, and all are inside if and only if ``P > 0``; nothing else is tried.
-    """
-    matrix, size = arb_mat(a), len(a)
-    if storage is not None:
-        P = arb_mat(storage)
-        fall = P - matrix.transpose() * P * matrix if discrete else -(matrix.transpose() * P + P * matrix)
-        return is_definite(P.tolist()) if is_definite(fall.tolist()) else None
-    polynomial = matrix.charpoly()
-    coefficients = [polynomial[k] for k in range(size + 1)]
-    if discrete:
-        coefficients = product([coefficients], [_moebius(power, size) for power in range(size + 1)])[0]
-    signs = _routh(coefficients[::-1])
-    if not {None, 0} & {*signs}:
-        return len({*signs}) == 1
-    values = acb_mat(matrix).eig(multiple=True)
-    return False if any((abs(z) > 1) if discrete else (z.real > 0) for z in values) else None
-
-
-def _moebius(power: int, size: int) -> list[fmpq]:
-    """Coefficients of ``(1 + w)^power (1 - w)^(size - power)``: z = (1 + w)/(1 - w) maps left half-plane to disc."""
-    result = [fmpq(0)] * (size + 1)
-    for i in range(power + 1):
-        for j in range(size - power + 1):
-            result[i + j] += comb(power, i) * comb(size - power, j) * (-1) ** j
-    return result
-
-
-def _routh(descending: list[arb]) -> list[int | None]:
-    """Signs of the first column of the Routh array; all are equal and nonzero iff every root has Re < 0."""
-    upper, lower = descending[0::2], descending[1::2]
-    column = [upper[0]]
-    while lower:
-        column.append(lower[0])
-        padded = lower + [arb(0)] * (len(upper) - len(lower))
-        upper, lower = lower, [a - upper[0] / lower[0] * b for a, b in zip(upper[1:], padded[1:], strict=True)]
-    return [sign(entry) for entry in column]

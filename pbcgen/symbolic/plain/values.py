@@ -7,7 +7,7 @@ these. What is unknown is a ball without bounds, or an exception: never a wrong 
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import prod
@@ -20,7 +20,6 @@ ODD = {"tanh", "atan", "asinh", "erf", "asin", "atanh"}
 INCREASING, NONNEGATIVE = ODD | {"exp", "log", "sqrt"}, {"exp", "sqrt"}
 #: Functions that are analytic on the whole line; the others may enter a proof only where the model has them.
 _ENTIRE = {"exp", "sin", "cos", "tanh", "atan", "asinh", "erf"}
-_OF_POSITIVE = {"sqrt", "log"}
 BOUNDED = {"sin", "cos", "tanh", "erf"}
 AT_ZERO = {"exp": 1, "cos": 1} | dict.fromkeys([*ODD, "sin", "sqrt"], 0)
 _FUNCTIONS = INCREASING | {"sin", "cos", "acos", "acosh"}
@@ -109,6 +108,16 @@ def _known(name: str, a: fmpq) -> fmpq | None:
     return None
 
 
+def never_negative(kind: str, a: Any, b: Any, alone: bool) -> Any:
+    """``(T(a) - T(b)) (a - b)`` with T increasing; alone, T(a) or ``1 - T(a)^2``. None if that may be negative."""
+    if kind not in (NONNEGATIVE | BOUNDED if alone else INCREASING):
+        return None
+    value = apply(kind, a)
+    if alone:
+        return value if kind in NONNEGATIVE else 1 - value * value
+    return (value - apply(kind, b)) * (a - b)
+
+
 def power(a: Any, b: Any) -> Any:
     """``a**b`` for a number b that is a multiple of 1/8."""
     b = b.value if isinstance(b, Dual) and not b.slope else b
@@ -185,10 +194,12 @@ class Function(Value):
         return self.field.function(name, self)
 
     @cached_property
-    def used(self) -> list[int]:
-        """The symbols and atoms that occur, by their places among the generators."""
-        degrees = zip(self.top.degrees(), self.bottom.degrees(), strict=True)
-        return [k for k, both in enumerate(degrees) if max(both) > 0]
+    def used(self) -> set[int]:
+        """The symbols that occur, also inside of atoms."""
+        degrees = enumerate(zip(self.top.degrees(), self.bottom.degrees(), strict=True), -self.field.pool)
+        present = [k for k, both in degrees if max(both) > 0]
+        inside = [[*self.field.atoms.values()][-1 - k].used for k in present if k < 0]
+        return {k for k in present if k >= 0}.union(*inside)
 
     def number(self) -> fmpq | None:
         """The value of a constant."""
@@ -282,18 +293,19 @@ class Field:
                 sine, cosine = sine * c + cosine * s, cosine * c - sine * s
         return sine, cosine
 
-    def bounded(self, a: Function) -> bool:
-        """Whether only atoms with values in [-1, 1] occur."""
-        free = [k for k in range(len(self.generators)) if self._kind(k) not in BOUNDED]
+    def bounded(self, a: Function, ends: Container[int] = ()) -> bool:
+        """Whether only atoms with values in [-1, 1] occur, and symbols with ends."""
+        free = [k for k in range(len(self.generators)) if self._kind(k) not in BOUNDED and k - self.pool not in ends]
         return a.bottom.is_constant() and not any(a.top.degrees()[k] > 0 for k in free)
 
-    def bound(self, a: Function) -> tuple[fmpq, fmpq]:
-        """(c, r) with ``abs(a - c) <= r`` everywhere, from atoms with values in [-1, 1]."""
-        if not self.bounded(a):
-            raise NotCheckable("a function is not bounded by its terms")
-        terms = a.top.to_dict()
+    def bound(self, a: Function, ends: Mapping[int, fmpq]) -> tuple[fmpq, Any]:
+        """(c, r) with ``abs(a - c) <= r`` where symbols are at most their ends, from atoms with values in [-1, 1]."""
+        if not self.bounded(a, ends):
+            return fmpq(0), arb("inf")
+        terms, size = a.top.to_dict(), [ends.get(k - self.pool, fmpq(1)) for k in range(len(self.generators))]
         centre = sum((c for e, c in terms.items() if not any(e)), fmpq(0))
-        return centre, sum((abs(c) for e, c in terms.items() if any(e)), fmpq(0))
+        sizes = (prod((s ** int(d) for s, d in zip(size, e, strict=True) if d), start=abs(c)) for e, c in terms.items())
+        return centre, sum(sizes, -abs(centre))
 
     def everywhere(self, a: fmpq_mpoly) -> int:
         """1 or -1 when the polynomial certainly has this sign everywhere, else 0.
@@ -323,21 +335,21 @@ class Field:
         signs = [self.everywhere(factor) ** int(times) for factor, times in factors]
         return int(prod(signs, start=1 if content > 0 else -1))
 
+    def positive(self, a: Function) -> bool:
+        """Whether a function is certainly positive everywhere."""
+        return self.everywhere(a.top) * self.everywhere(a.bottom) == 1
+
     def entire(self) -> bool:
         """Whether everything computed so far is certainly defined and smooth at every state."""
-        kinds = [kind for kind, _, _ in self.atoms]
-        smooth = all(v in _ENTIRE or (v in _OF_POSITIVE and self._of_positive(k)) for k, v in enumerate(kinds))
+        atoms = [(kind, a) for (kind, _, _), a in self.atoms.items()]
+        smooth = all(kind in _ENTIRE or (kind in ("log", "sqrt") and self.positive(a)) for kind, a in atoms)
         unsure = [divisor for key, divisor in self.all_divisors.items() if key not in self.nowhere_zero]
         return smooth and all(self.everywhere(divisor) for divisor in unsure)
 
     def _above_zero(self, k: int) -> bool:
         """Whether generator k is an exponential, or the root of a function that is positive everywhere."""
-        return self._kind(k) == "exp" or (self._kind(k) == "sqrt" and self._of_positive(self.pool - 1 - k))
-
-    def _of_positive(self, number: int) -> bool:
-        """Whether the argument of an atom is positive everywhere."""
-        argument = [*self.atoms.values()][number]
-        return self.everywhere(argument.top) * self.everywhere(argument.bottom) == 1
+        kind = self._kind(k)
+        return kind == "exp" or (kind == "sqrt" and self.positive([*self.atoms.values()][self.pool - 1 - k]))
 
     def _kind(self, k: int) -> str:
         number = self.pool - 1 - k
@@ -346,11 +358,11 @@ class Field:
     def at(self, polynomial: fmpq_mpoly, point: Sequence[Any]) -> Any:
         """The value of a polynomial in symbols and atoms at numbers for the symbols."""
         values: dict[int, Any] = {self.pool + k: value for k, value in enumerate(point)}
-        atoms = [*self.atoms.items()]
+        atoms = dict(zip(range(self.pool - 1, -1, -1), self.atoms.items(), strict=False))
 
         def generator(k: int) -> Any:
             if k not in values:
-                (kind, _, _), a = atoms[self.pool - 1 - k]
+                (kind, _, _), a = atoms[k]
                 values[k] = apply(kind, total(a.top) / total(a.bottom))
             return values[k]
 

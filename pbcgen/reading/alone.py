@@ -1,0 +1,159 @@
+"""Equilibria of the closed loop of which there is only one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from flint import arb, fmpq
+
+from pbcgen.reading.growth import GLOBAL, Growth
+from pbcgen.reading.system import require
+from pbcgen.symbolic.plain.boxes import Box, ball, covered
+from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
+from pbcgen.symbolic.plain.formulas import rational
+from pbcgen.symbolic.plain.matrices import Matrix, is_definite, product, symmetric, transpose
+from pbcgen.symbolic.plain.spectra import krawczyk, preconditioned
+from pbcgen.symbolic.plain.values import apply, power, sign
+
+#: What is free at the rests, and U, Gamma and the equations as functions of that.
+Rests = tuple[list[int], list[Any]]
+
+
+class Alone(Growth):
+    """Two rests of the closed loop with the constant inputs U and ``Gamma = gamma + K_c^-1 U`` have
+
+    ``U - u* + alpha tanh(beta (Gamma - Gamma*)) = 0``, hence ``dU^T dGamma < 0`` unless dU = 0, and then dGamma = 0.
+    """
+
+    def follow(self, chain: Elimination, steps: Sequence[Any]) -> Elimination:
+        """What follows by the steps of a certificate.
+
+        An equation gives a variable; its derivative holds too; it holds a state alone, which then rests, as the zeros
+        of an analytic function are isolated; equations are added up with weights.
+        """
+        for source, *rest in steps:
+            if source is None:
+                weighted = [chain.equations[int(k)] * self.placed[w] for k, w in rest[0].items()]
+                chain.equations.append(sum(weighted, self.field.lift(0)))
+            elif len(rest) == 1:
+                (k,), e = rest, chain.reduced(chain.equations[source])
+                alone = e.used == {k} and k < self.n
+                values = [arb(put_in(self.field, e, [fmpq(v)] * len(self.field.symbols))) for v in (1, 2, 3)]
+                require(alone and self.field.entire() and {1, -1} & {*map(sign, values)}, "the state may move")
+                chain.equations.append(chain.rates[k])
+            elif rest:
+                k, place, *through = rest
+                kind, scale = through or ("", "1")
+                value = self.vector([place])[0]
+                require(chain.solve(source, k, value, kind, rational(scale)), "a step does not follow")
+            else:
+                chain.derive(source)
+        return chain
+
+    @property
+    def standing(self) -> Elimination:
+        """What holds at every rest: n equations, and no accelerations."""
+        chain = Elimination(self.field, [], self.rates[: self.n - len(self.inertia)] + self.balance)
+        chain.solved = {self.n + self.m + k: self.field.lift(0) for k in range(len(self.inertia))}
+        return chain
+
+    def along(self, chain: Elimination) -> Rests:
+        """What this leaves free, and U, Gamma and the equations as functions of that."""
+        U, gamma, zero = (
+            [chain.reduced(v) for v in p] for p in (self.constants, self.column("gamma"), chain.equations)
+        )
+        G = [a + b for a, (b,) in zip(gamma, product(self.softness, [[v] for v in U]), strict=True)]
+        return [k for k in range(self.n + self.m) if k not in chain.solved], U + G + zero
+
+    def another(self, witness: Mapping[str, Any]) -> None:
+        """There is another rest: by Krawczyk's test, apart from x*."""
+        left, centre = self.left(self.along(self.standing), range(self.n)), [rational(v) for v in witness["centre"]]
+        box = krawczyk(left, centre, rational(witness["radius"]))
+        require(box is not None, "Krawczyk's test does not hold")
+        state = (box or [])[: self.n]
+        require({1, -1} & {sign(a - b) for a, b in zip(state, self.rest_point, strict=False)}, "this may be x* again")
+        require(self.inside(dict(zip(self.states, state, strict=True))), "the state is not in the domain")
+        require(arb(self.walk(state)["S"][0][0]).is_finite(), "the storage is not defined there")
+
+    def alone(self, witness: Mapping[str, Any]) -> None:
+        """x* is the only rest.
+
+        Because ``dU^T dGamma``, with equations that hold at every rest times linear functions z_j, is nowhere negative
+        for two of them, and what is then the same at both fixes all states; or all rests lie in a box.
+        """
+        rests = self.along(self.follow(self.standing, witness["steps"]))
+        if "box" in witness:
+            return self._in_box(witness["box"], rests)
+        self.nonnegative(symmetric(self.relation(rests, witness["multipliers"])), GLOBAL, witness)
+        known = set[int]()
+        for step in witness["fixed"]:  # a monotone map that is strictly so at x*: no other point has the same value
+            J = self.increasing(step, rests[1], known, self.field.lift(0))
+            strict = is_definite([[put_in(self.field, v, self.rest_point) for v in row] for row in J])
+            require(strict, "a state may not be fixed")
+        return require(known >= {*rests[0]}, "x* may not be the only rest")
+
+    def relation(self, rests: Rests, multipliers: Mapping[str, Mapping[str, str]]) -> Matrix:
+        """The matrix that ``dU^T dGamma`` is a mean value of, as a form in the differences of what is free."""
+        free, m, slope = rests[0], self.m, [[slopes(self.field, v)[k] for k in rests[0]] for v in rests[1]]
+        require(all(v.number() is not None for row in slope[:m] for v in row), "the inputs are not affine")
+        left = slope[:m] + [[rational(row.get(str(k), "0")) for k in free] for row in multipliers.values()]
+        return product(transpose(left), slope[m : 2 * m] + [slope[2 * m :][int(j)] for j in multipliers])
+
+    def _in_box(self, witness: Mapping[str, Any], rests: Rests) -> None:
+        """All rests are in a box, and x* is the only zero there: by a tree of boxes."""
+        ends = dict[int, fmpq]()
+        for i, k, end in witness["ends"]:
+            require(self.bounds(rests, i, k, rational(end), ends), "a coordinate may be larger")
+            ends[k] = rational(end)
+        holds, box = self.no_other(rests, witness["zero"]), [(-ends[k], ends[k]) for k in rests[0]]
+        require(covered(witness["tree"], box, holds), "there may be another rest")
+
+    def bounds(self, rests: Rests, i: int, k: int, end: fmpq, ends: Mapping[int, fmpq]) -> bool:
+        """Whether function i makes ``abs(x_k) < end`` at rests, where ends hold: its leading power outweighs the rest.
+
+        An equation is zero; ``abs(U - u*) < alpha``; and where it is less, Gamma is bounded by the inverse of tanh.
+        """
+        a, at, powers, j = rests[1][i], self.field.pool + k, dict[int, fmpq](), i % self.m
+        held, alpha = self.resting_input[j], self.model.vector("alpha")[j]
+        reach = fmpq(0) if i >= 2 * self.m else abs(held) + alpha
+        if self.m <= i < 2 * self.m:
+            centre, size = self.field.bound(rests[1][j], ends)
+            inverse = arb((abs(centre - held) + size) / alpha).atanh() / self.model.vector("beta")[j]
+            reach = abs(put_in(self.field, a, self.rest_point)) + inverse
+        for exponents, c in a.top.to_dict().items():
+            if exponents[at] and sum(map(int, exponents)) == exponents[at]:
+                powers[int(exponents[at])] = c
+        own = sum((power(self.field.symbols[k], fmpq(d)) * c for d, c in powers.items()), fmpq(0))
+        centre, size = self.field.bound(a - own, ends)
+        degree = max(powers, default=0)
+        others = sum((abs(c) * end**d for d, c in powers.items() if d < degree), abs(centre) + size)
+        return bool(min(i, k) >= 0 and degree and end > 0 and abs(powers[degree]) * end**degree > others + reach)
+
+    def left(self, rests: Rests, chosen: Sequence[int]) -> Callable[[Sequence[Any]], list[Any]]:
+        """What some of the equations, and those of the filters, leave of zero; these are zero at rests."""
+        alpha, beta, m = self.model.vector("alpha"), self.model.vector("beta"), self.m
+        outputs = [put_in(self.field, g, self.rest_point) for g in rests[1][m : 2 * m]]
+        functions = rests[1][: 2 * m] + [rests[1][2 * m :][k] for k in chosen]
+
+        def function(z: Sequence[Any]) -> list[Any]:
+            place = dict(zip(rests[0], z, strict=True))
+            values = [place.get(k, fmpq(0)) for k in range(len(self.field.symbols))]
+            found = [put_in(self.field, v, values) for v in functions]
+            rows = zip(found, self.resting_input, alpha, beta, found[m:], outputs, strict=False)
+            return found[2 * m :] + [u - c + apply("tanh", (g - d) * b) * a for u, c, a, b, g, d in rows]
+
+        return function
+
+    def no_other(self, rests: Rests, chosen: Sequence[int]) -> Callable[[str, Box], bool]:
+        """What the leaves say: an equation has no zero (.), or the Jacobian of all is regular from there to x* (;)."""
+        left, star = self.left(rests, chosen), [self.rest_point[k] for k in rests[0]]
+
+        def holds(kind: str, part: Box) -> bool:
+            balls = [arb(ball(lo, hi)) for lo, hi in part]
+            if kind == ".":
+                return any(sign(v) in (1, -1) for v in left(balls))
+            _, defect = preconditioned(left, star, [b.union(arb(c)) for b, c in zip(balls, star, strict=True)])
+            return all(sum(map(abs, row), arb(0)) < 1 for row in defect)
+
+        return holds
