@@ -62,7 +62,7 @@ def test_a_rest_where_the_model_is_not_stated_refutes_nothing(domain):
     system = Mechanical([q], [p], M=[1], V=q - ca.log(q), D=[0.3], G=[1], domain=domain)
     claims = _claims(system, {"q": 1}, alpha=2, beta=2, K_c=20)
     assert claims["asymptotically-stable"].status is PROVED
-    assert claims["globally-asymptotically-stable"].status is UNDECIDED
+    assert claims["globally-asymptotically-stable"].status is not REFUTED
 
 
 @pytest.mark.parametrize(("bounds", "status"), [((-3, 3), UNDECIDED), ((-4, 4), REFUTED)])
