@@ -364,6 +364,7 @@ WRONG |= {"cut_chain": {LOCAL, GLOBAL, SAMPLED}}
     [
         *("softening_spring", "weakly_held_pendulum", "overloaded_pendulum", "undamped_mode", "antisymmetric_mode"),
         *("conserved_charge", "negative_damping", "wrong_output", "unassignable_target", "cut_chain"),
+        *("heavy_pendulum", "softened_spring", "unseen_mode"),
     ],
 )
 def test_witnesses_that_are_looked_for_where_the_claim_is_wrong_show_nothing(name):
