@@ -88,6 +88,8 @@ class _Elimination:
     solved: dict[int, ca.SX] = field(default_factory=dict)
     pending: list[ca.SX] = field(default_factory=list)
     relations: list[ca.SX] = field(default_factory=list)
+    followed: dict[int, ca.SX] = field(default_factory=dict)
+    tried: dict[int, tuple[ca.SX, int]] = field(default_factory=dict)
     steps: list[str] = field(default_factory=list)
     budget: int = _BUDGET
     spent: int = 0
@@ -154,8 +156,6 @@ class _Elimination:
             self.solved[k] = value
             self._record(k, -rest, value)
             return True
-        expression = self.to_sx(factor)
-        self.pending.append(expression)
         return False
 
     def _order(self, factor: Quotient) -> list[int]:
@@ -169,15 +169,16 @@ class _Elimination:
         """Use equations and their Lie derivatives until nothing new appears; whether that point was reached."""
         queue = [self.flow.base[k] for k in range(self.flow.base.numel())]
         for _ in range(_ROUNDS * self.states):
-            self.pending.clear()
-            waiting = [e for e in self._use_affine(queue) if not self.use(e)]
-            waiting = self._without_multiples(self._linear_block(waiting))
-            if self._rests(waiting):
+            waiting = [e for e in self._use_affine(queue) if not self._used(e)]
+            waiting = self._linear_block(waiting)
+            if self._rests(waiting):  # by combinations with constant weights: multiples by functions count here
                 self._settle(waiting)
                 return True
+            waiting = self._without_multiples(waiting)
             if self.splitting:
                 self._split(waiting)
-            fresh = self.nonzero([*self._derivatives(waiting), *self._stopped(waiting)])
+            waiting, fresh = self._distinct(waiting, [*self._derivatives(waiting), *self._stopped(waiting)])
+            self.pending = waiting
             if not fresh:
                 self.pending = self.nonzero(waiting)
                 return True
@@ -195,6 +196,16 @@ class _Elimination:
             if not any(divmod(tops[i], tops[j])[1].is_zero() for j in kept if not tops[j].is_zero()):
                 kept.append(i)
         return [waiting[i] for i in sorted(kept)]
+
+    def _used(self, expression: ca.SX) -> bool:
+        """:meth:`use`, unless it failed before and no more variables are known now."""
+        known = len(self.relations)
+        if self.tried.get(id(expression), (expression, -1))[1] == known:
+            return False
+        used = self.use(expression)
+        if not used:
+            self.tried[id(expression)] = expression, known
+        return used
 
     def _split(self, waiting: Sequence[ca.SX]) -> None:
         """Raise _Split for the first equation that is a product of functions that may vanish."""
@@ -283,8 +294,23 @@ class _Elimination:
         self.steps.append(f"{self.names[k]} = {short(value)}")
 
     def _derivatives(self, waiting: Sequence[ca.SX]) -> list[ca.SX]:
-        followed = ca.vertcat(*self.relations, *waiting)
-        return ca.vertsplit(ca.jtimes(followed, self.flow.plant.system.x, self.flow.drift)) if followed.numel() else []
+        """Along the trajectories, of what was not followed before."""
+        fresh = {id(e): e for e in (*self.relations, *waiting) if id(e) not in self.followed}
+        self.followed |= fresh
+        column = ca.vertcat(*fresh.values())
+        return ca.vertsplit(ca.jtimes(column, self.flow.plant.system.x, self.flow.drift)) if fresh else []
+
+    def _distinct(self, waiting: Sequence[ca.SX], more: Sequence[ca.SX]) -> tuple[list[ca.SX], list[ca.SX]]:
+        """Both without what vanishes or is a multiple of an earlier one; of the second, solved variables replaced."""
+        if not waiting and not more:
+            return [], []
+        on_set = ca.vertsplit(self.substitute(ca.vertcat(*waiting, *more)))
+        _, values = self.exact(*on_set)
+        keys = ["" if v.is_zero() else str(v.numerator / v.numerator.leading_coefficient()) for v in values]
+        first = {key: k for k, key in reversed([*enumerate(keys)]) if key}
+        kept = sorted(first.values())
+        size = len(waiting)
+        return [waiting[k] for k in kept if k < size], [on_set[k] for k in kept if k >= size]
 
     def vanishes(self, expression: ca.SX) -> bool:
         """Whether the expression is zero on the set, as far as it is known."""
