@@ -77,7 +77,7 @@ class Mechanical:
                 ``sum J_i^T W_i J_i``, with J_i of n columns and W_i > 0 (a list is its diagonal, a number a multiple
                 of I).
             M_inv: its inverse. One of the two is enough.
-            D: damping, n x n diagonal function of (q, p), or the list of its diagonal; none if not given.
+            D: damping, n x n symmetric function of (q, p), or the list of its diagonal; none if not given.
             parameters: the constants that occur.
             inputs: names of the inputs; ``u_1, u_2, ...`` if not given.
             domain: (lo, hi) by state name.
@@ -88,7 +88,7 @@ class Mechanical:
             name: how reports call the system.
 
         Raises:
-            ModelError: for wrong shapes or symbols, M not symmetric or singular, D not diagonal.
+            ModelError: for wrong shapes or symbols, M or D not symmetric, M singular.
         """
         q, p = symbols(q, "the positions q"), symbols(p, "the momenta p")
         parameters = parameters if parameters is not None else Parameters()
@@ -146,7 +146,7 @@ class Mechanical:
             T: kinetic energy, a quadratic form in the velocities: ``T = q'^T M(q) q' / 2``.
             V: potential energy, scalar function of q.
             G: input matrix, n x m function of q.
-            D: damping, n x n diagonal function of (q, q'), or the list of its diagonal.
+            D: damping, n x n symmetric function of (q, q'), or the list of its diagonal.
             momenta: names of the momenta; ``p_`` and the name of the position if not given.
             parameters: the constants that occur.
             **keywords: as for the constructor.
@@ -235,7 +235,10 @@ def _mechanics(
     ):
         check_symbols(value, allowed, what, forbidden, "the momentum")
         check_finite(value, what)
-    _check_diagonal(damping)
+    if not vanishes_at_samples(
+        damping - damping.T, ca.norm_fro(damping), ca.vertcat(q, p), constants, parameters.numeric
+    ):
+        raise ModelError("the damping D is not symmetric: gyroscopic forces belong into an AffineSystem")
     _check_inertia(inertia, inverse_inertia, q, parameters)
     velocity, gradient = energy_slope(q, p, potential, inertia if M is not None else None, inverse_inertia)
     return Mechanics(
@@ -284,12 +287,6 @@ def _form_gradient(matrix: ca.SX, vector: ca.SX, q: ca.SX) -> ca.SX:
     """The gradient in q of ``vector^T matrix(q) vector / 2`` with the vector held constant."""
     frozen = ca.SX.sym("v", vector.numel())
     return ca.substitute(ca.gradient(ca.dot(frozen, ca.mtimes(matrix, frozen)) / 2, q), frozen, vector)
-
-
-def _check_diagonal(D: ca.SX) -> None:
-    for row, col in zip(*D.sparsity().get_triplet(), strict=True):
-        if row != col:
-            raise ModelError(f"the damping D must be diagonal: its entry ({row + 1}, {col + 1}) is `{D[row, col]}`")
 
 
 def _check_inertia(M: ca.SX, M_inv: ca.SX, q: ca.SX, parameters: Parameters) -> None:

@@ -120,7 +120,8 @@ def _blocks(matrix: Sequence[Sequence[Quotient]]) -> list[list[int]]:
 def _velocity_vanishes(plant: Plant, structure: PowerStructure, gamma: ca.SX) -> bool:
     """Whether q' = 0 on the set: ``D q' = 0`` and ``gamma' = (d gamma/dq) q' = 0`` have no other solution.
 
-    Then p = 0 too, because M > 0, and p' = G u - grad V vanishes with it: nothing needs to be known of M.
+    There ``q'^T D q' = 0``, which is nowhere negative, so that D q' = 0 for a symmetric D. With q' = 0 also p = 0,
+    because M > 0, and p' = G u - grad V vanishes: nothing needs to be known of M.
     """
     system, mechanics = plant.system, plant.system.mechanical
     assert mechanics is not None
@@ -129,12 +130,16 @@ def _velocity_vanishes(plant: Plant, structure: PowerStructure, gamma: ca.SX) ->
     if ca.depends_on(gamma, mechanics.p):
         return False
     try:
-        field_, (damping, slope) = plant.exact(ca.diag(mechanics.D), ca.jacobian(gamma, mechanics.q))
+        field_, (damping, slope) = plant.exact(mechanics.D, ca.jacobian(gamma, mechanics.q))
     except (UnsupportedOperation, ZeroDivisionError):
         return False
     zero = field_.const(0)
-    rows: list[Row] = [{k: fmpq(1)} for k, entry in enumerate(damping.column(zero)) if positive(entry)]
-    for line in slope.dense(zero):
+    D = damping.dense(zero)
+    if any(not (D[i][j] - D[j][i]).is_zero() for i in range(len(D)) for j in range(i)):
+        return False
+    alone = [k for k, line in enumerate(D) if all(k == j or entry.is_zero() for j, entry in enumerate(line))]
+    rows: list[Row] = [{k: fmpq(1)} for k in alone if positive(D[k][k])]
+    for line in [*D, *slope.dense(zero)]:
         numbers = [entry.constant() for entry in line]
         if all(number is not None for number in numbers):
             rows.append(dict(enumerate(numbers)))

@@ -72,10 +72,9 @@ class Stability(Assumptions):
         return self._undamped() if "set" in witness else self.refuted_stable()
 
     def _undamped(self) -> None:
-        """Near x* there are motions with u = u* and gamma = gamma* along which S rests, above its strict minimum."""
+        """Near x* there are motions with u = u* and gamma = gamma* along which S_d has another value than there."""
         self.in_states()
         self.once(self.proved_gradient_condition)
-        self.proved_hessian_condition()
         set_ = (chain := self.on_set("asymptotically-stable")).solved
         require(len(set_) < self.n and max(set_, default=0) < self.n, "the set has no other states than x*")
         constants = [row[0] - v for name in ("gamma", "eta") if name in self.exact for row, v in self.changes(name)]
@@ -84,6 +83,12 @@ class Stability(Assumptions):
             require(sign(put_in(self.field, value, self.point[0]) - self.point[0][k]) == 0, "x* is not in the set")
             constants.append(dot(slopes(self.field, self.field.symbols[k] - value), self.rates))
         self.zero([chain.reduced(v) for v in [*constants, self.power_at(self.push)]], "the set is not as it must be")
+        values = [set_.get(k, self.field.symbols[k]) for k in range(self.n)]
+        slope = [[put_in(self.field, v, self.point[0]) for v in slopes(self.field, a)[: self.n]] for a in values]
+        require(all(sign(slope[k][j]) == 0 for k in set_ for j in set_), "the set is not written in its free states")
+        tangents = [d for k, d in enumerate(transpose(slope)) if k not in set_]
+        bends = [dot(d, [dot(row, d) for row in self.hessian_d]) for d in tangents]
+        require({1, -1} & {*map(sign, bends)}, "S_d may be the same on all of the set")
         self.smooth()
 
     # --- LaSalle's invariant set -----------------------------------------------------------------------------------

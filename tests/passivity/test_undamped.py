@@ -6,9 +6,12 @@ import casadi as ca
 import pytest
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Integral, Mechanical, PassiveOutput, check
+from pbcgen.control.certificate import certificate
+from pbcgen.control.derive import derive
 from pbcgen.passivity.equilibrium import complete
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.undamped import undamped_plane
+from pbcgen.verify.claims import examine
 
 LAW = DynamicExtension(2, 3, 5, 1)
 LAWS = {"extension": LAW, "output": PassiveOutput(2, 3, 1), "integral": Integral(LAW, "0.1", 1, 1)}
@@ -133,3 +136,17 @@ def test_a_motion_that_the_output_sees_is_not_refuted():
 
 def test_without_energy_nothing_shows_that_it_moves_away():
     assert _beside(lambda a, b: (b, -a), energy=lambda a, b: ca.SX(0)) is None
+
+
+@pytest.mark.parametrize("stiffness", ["0.1", 20])
+def test_the_checker_sees_an_undamped_mode_where_the_storage_has_no_minimum_too(stiffness):
+    """Twins that fall outwards together and swing against each other, and a damper that acts on their sum."""
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    between = q[0] - q[1]
+    V = 5 * between**2 / 2 + 3 * between**4 / 4 - 3 * (q[0] + q[1]) ** 2 / 2
+    twins = Mechanical(q, p, M=[2, 2], V=V, D=[[0.4, 0.4], [0.4, 0.4]], G=[1, 1])
+    law = DynamicExtension(1, stiffness, 400, "0.5")
+    derivation = derive(Design(twins, {"q_0": 0, "q_1": 0}, law, sample_period="1e-2"))
+    found = {f.claim: (f.status, f.outcome) for f in examine(certificate(derivation))}
+    assert found["asymptotically-stable"] == ("REFUTED", "checked")
+    assert found["globally-asymptotically-stable"] == ("REFUTED", "checked")
