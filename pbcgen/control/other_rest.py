@@ -35,7 +35,8 @@ def other_rest(situation: Situation) -> list[Real] | None:
         return None
     at_star = ca.SX.sym("at_star", 2 * system.m)
     residual = _rest_equations(situation, at_star[: system.m], at_star[system.m :])
-    residual = ca.substitute(residual[still:], system.x[free:], ca.SX.zeros(still))
+    if still:
+        residual = ca.substitute(residual[still:], system.x[free:], ca.SX.zeros(still))
     jacobian = ca.jacobian(residual, ca.vertcat(system.x[:free], system.u))
     with precision(BITS):
         (gamma_star,) = plant.at(point, situation.gamma)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import pytest
 
-from pbcgen import Design, DynamicExtension, Mechanical
+from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical
 from pbcgen.control.derive import derive
 from pbcgen.control.other_rest import other_rest
 from pbcgen.symbolic.real import approximate
@@ -40,3 +40,14 @@ def test_none_is_found_where_springs_outweigh_gravity() -> None:
     situation = derive(pendulums(3, 10.0)).situation
     assert situation is not None
     assert other_rest(situation) is None
+
+
+def test_a_system_with_one_state_has_no_momenta() -> None:
+    x = ca.SX.sym("x")
+    system = AffineSystem([x], [ca.SX.sym("u")], [-ca.sin(x)], [1], 1 - ca.cos(x))
+    law = DynamicExtension(alpha="0.1", beta=1, K_c=1, R_c=1)
+    situation = derive(Design(system, {"x": 0}, law, sample_period="1e-3")).situation
+    assert situation is not None
+    found = other_rest(situation)
+    assert found is not None
+    assert abs(approximate(found[0])) > 1
