@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from flint import arb, ctx
 
-from pbcgen.control.minimax import chebyshev, rational
+from pbcgen.law.minimax import chebyshev, rational
 
 POINTS = 200
 

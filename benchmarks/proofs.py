@@ -22,8 +22,8 @@ from time import process_time
 import casadi as ca
 
 from pbcgen import AffineSystem, Circuit, Design, DynamicExtension, Limits, Mechanical, Parameters
+from pbcgen.certify.certificate import certificate
 from pbcgen.control.attraction import region_of_attraction
-from pbcgen.control.certificate import certificate
 from pbcgen.pipeline import Report, check
 from pbcgen.verify.claims import examine
 

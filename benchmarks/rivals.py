@@ -14,13 +14,13 @@ import casadi as ca
 import sympy as sp
 from sympy.codegen.ast import float32, real
 
-from pbcgen.control.law import ScalarSolve
-from pbcgen.control.solves import with_tanh
+from pbcgen.law.law import ScalarSolve
+from pbcgen.law.solves import with_tanh
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbcgen.control.law import ControlLaw
+    from pbcgen.law.law import ControlLaw
 
 
 @dataclass(frozen=True)

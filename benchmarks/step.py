@@ -17,15 +17,15 @@ import numpy as np
 
 from benchmarks.rivals import Rival, rivals
 from pbcgen import pipeline
-from pbcgen.control.closed_loop import ClosedLoop
+from pbcgen.law.closed_loop import ClosedLoop
 from pbcgen.models.loader import load
 from pbcgen.run.emulate import Image, Machine
 from pbcgen.run.simulate import PythonStepper, simulate_sampled
 from pbcgen.run.targets import TARGETS
 
 if TYPE_CHECKING:
-    from pbcgen.control.law import ControlLaw
     from pbcgen.emit import Package
+    from pbcgen.law.law import ControlLaw
 
 SYSTEMS = ("coupling_device", "rlc", "pera", "pera_integral")
 FLAGS = ("-std=gnu17", "-O2")

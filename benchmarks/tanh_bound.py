@@ -16,9 +16,9 @@ from typing import Final
 
 from flint import arb, arb_series, ctx, fmpq, fmpq_poly
 
-from pbcgen.control.hyperbolic import DENOMINATOR, NUMERATOR
-from pbcgen.control.law import Precision
-from pbcgen.control.rounding import nearest
+from pbcgen.law.hyperbolic import DENOMINATOR, NUMERATOR
+from pbcgen.law.law import Precision
+from pbcgen.law.rounding import nearest
 
 ORDER: Final = 24
 PIECE: Final = Fraction(1, 16)

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 from pbcgen.errors import EmitError, ModelError, NotProved, PbcgenError, ToolchainError, UnsupportedOperation
 
 if TYPE_CHECKING:
-    from pbcgen.control.tune import tune
-    from pbcgen.control.tuning_problem import Wish
     from pbcgen.models.affine import AffineSystem
     from pbcgen.models.circuit import Circuit
     from pbcgen.models.design import Design
@@ -21,6 +19,8 @@ if TYPE_CHECKING:
     from pbcgen.models.mechanical import Mechanical
     from pbcgen.models.parameters import Parameters
     from pbcgen.pipeline import check, for_all_parameters, generate, simulate, validate
+    from pbcgen.tuning.tune import tune
+    from pbcgen.tuning.tuning_problem import Wish
 
 __version__ = "0.1.0"
 
@@ -66,8 +66,8 @@ _HOMES = {
     "Parameters": "pbcgen.models.parameters",
     "PassiveOutput": "pbcgen.models.laws",
     "PotentialCompensation": "pbcgen.models.laws",
-    "Wish": "pbcgen.control.tuning_problem",
-    "tune": "pbcgen.control.tune",
+    "Wish": "pbcgen.tuning.tuning_problem",
+    "tune": "pbcgen.tuning.tune",
     "check": "pbcgen.pipeline",
     "for_all_parameters": "pbcgen.pipeline",
     "generate": "pbcgen.pipeline",

@@ -17,15 +17,15 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from pbcgen.control.certificate import certificate as write_certificate
-from pbcgen.control.closed_loop import ClosedLoop
+from pbcgen.certify.certificate import certificate as write_certificate
 from pbcgen.control.derive import Derivation, derive
-from pbcgen.control.hyperbolic import default_tanh
-from pbcgen.control.law import ControlLaw
-from pbcgen.control.solves import with_tanh
 from pbcgen.control.stability import LYAPUNOV
 from pbcgen.emit import Extras, Package, Provenance, render
 from pbcgen.errors import EmitError, ModelError, NotProved
+from pbcgen.law.closed_loop import ClosedLoop
+from pbcgen.law.hyperbolic import default_tanh
+from pbcgen.law.law import ControlLaw
+from pbcgen.law.solves import with_tanh
 from pbcgen.models.design import Design
 from pbcgen.models.identity import model_hash
 from pbcgen.models.source import located
@@ -33,8 +33,8 @@ from pbcgen.proof.claim import ELSEWHERE, EMISSION_CLAIMS, Claim, Status
 
 if TYPE_CHECKING:
     from pbcgen.control.attraction import Region
-    from pbcgen.control.hyperbolic import Tanh
     from pbcgen.emit.figures import Figures
+    from pbcgen.law.hyperbolic import Tanh
     from pbcgen.run.simulate import Trajectory
     from pbcgen.run.validate import Validation
 
@@ -137,11 +137,11 @@ class Simulation:
 
 
 def for_all_parameters(report: Report) -> tuple[Claim, ...]:
-    """What holds for all positive values of the parameters, see :mod:`pbcgen.control.all_parameters`.
+    """What holds for all positive values of the parameters, see :mod:`pbcgen.parametric.all_parameters`.
 
     Raises ModelError for a model without parameters.
     """
-    from pbcgen.control.all_parameters import for_all_parameters as decide
+    from pbcgen.parametric.all_parameters import for_all_parameters as decide
 
     return decide(report.derivation)
 

@@ -19,8 +19,8 @@ from pbcgen import (
     PotentialCompensation,
     pipeline,
 )
-from pbcgen.control.law import VectorSolve
 from pbcgen.errors import EmitError, ModelError, NotProved
+from pbcgen.law.law import VectorSolve
 from pbcgen.models.loader import load
 from pbcgen.run.simulate import PythonStepper, simulate_continuous, simulate_sampled
 

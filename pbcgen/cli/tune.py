@@ -15,8 +15,8 @@ from pbcgen.errors import EmitError, ModelError, NotProved
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from pbcgen.control.tune import Attempt, Tuning
     from pbcgen.models.laws import Law
+    from pbcgen.tuning.tune import Attempt, Tuning
 
 RouteOption = Literal["lyapunov", "linearisation", "both"]
 
@@ -76,9 +76,9 @@ def run(
         NotProved: no gains were found that pass.
         EmitError: the output exists already.
     """
-    from pbcgen.control.tune import tune
-    from pbcgen.control.tuning_problem import Route, Wish
     from pbcgen.models.exact import positive
+    from pbcgen.tuning.tune import tune
+    from pbcgen.tuning.tuning_problem import Route, Wish
 
     if plot is not None and (plot.suffix.lower() not in _PICTURES or not plot.parent.is_dir()):
         raise ModelError(f"`{plot}` cannot be drawn: a .png, .svg or .pdf in an existing directory was expected")
@@ -104,7 +104,7 @@ def run(
 
 
 def _file(tuning: Tuning) -> str:
-    from pbcgen.control.gain_space import expression
+    from pbcgen.tuning.gain_space import expression
 
     law = expression(tuning.design.law)
     names = sorted({word.split("(")[0].strip() for word in law.splitlines() if word.rstrip().endswith("(")})
@@ -114,9 +114,9 @@ def _file(tuning: Tuning) -> str:
 
 def _draw(tuning: Tuning, design: Any, path: Path) -> None:
     from pbcgen.control.derive import derive
-    from pbcgen.control.trial import BAND, Trial, response
     from pbcgen.report.comparison import plot_tuning
     from pbcgen.report.plots import save
+    from pbcgen.tuning.trial import BAND, Trial, response
 
     found = derive(design)
     assert found.point is not None
@@ -155,7 +155,7 @@ def _response(found: Any) -> dict[str, Any] | None:
 
 
 def _gains(law: Law) -> dict[str, Any]:
-    from pbcgen.control.gain_space import shown_gains
+    from pbcgen.tuning.gain_space import shown_gains
 
     return {
         name: [[str(v) for v in row] if isinstance(row, tuple) else str(row) for row in values]
@@ -179,7 +179,7 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
 
 
 def _show(console: Console, tuning: Tuning, output: Path | None, plot: Path | None) -> None:
-    from pbcgen.control.gain_space import expression
+    from pbcgen.tuning.gain_space import expression
 
     console.print(f"{tuning.design.name}: gains for law {tuning.design.law.name}", style="bold")
     console.print(f"before: {_figures(tuning.before)}")

@@ -1,1 +1,1 @@
-"""Laws: in continuous time, discretised, and as the data that C is written from."""
+"""Claims about the closed loop: limits, stability, sample periods, regions; and the derivation that holds them all."""

@@ -20,11 +20,11 @@ import casadi as ca
 from flint import arb, fmpq
 
 from pbcgen.control.cells import Loops
-from pbcgen.control.graph import LawGraph
 from pbcgen.control.sampled import Sampling
 from pbcgen.control.saturation import Range, Saturation, saturation
-from pbcgen.control.settings import Setting, Settings
 from pbcgen.control.situation import Situation
+from pbcgen.law.graph import LawGraph
+from pbcgen.law.settings import Setting, Settings
 from pbcgen.models.design import Design
 from pbcgen.models.laws import Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.passivity.plant import Point

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from flint import arb, arb_mat
 
-from pbcgen.control.graph import LawGraph
+from pbcgen.law.graph import LawGraph
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.target_map import TargetMap
 from pbcgen.proof.definite import RealMatrix

@@ -11,17 +11,17 @@ from typing import Any
 import casadi as ca
 
 from pbcgen.control.box import box_claim
-from pbcgen.control.closed_loop import ClosedLoop, closed_loop
-from pbcgen.control.graph import Interface, LawGraph, Needs, build, control_law, needs
-from pbcgen.control.hyperbolic import Tanh
-from pbcgen.control.law import ControlLaw, Precision, Signal
-from pbcgen.control.measure import Measurement
 from pbcgen.control.sampled import Sampling
 from pbcgen.control.saturation import saturation
-from pbcgen.control.settings import Settings
 from pbcgen.control.situation import Situation
 from pbcgen.control.stability import StabilityVerdicts, stability
 from pbcgen.errors import ModelError, UnsupportedOperation
+from pbcgen.law.closed_loop import ClosedLoop, closed_loop
+from pbcgen.law.graph import Interface, LawGraph, Needs, build, control_law, needs
+from pbcgen.law.hyperbolic import Tanh
+from pbcgen.law.law import ControlLaw, Precision, Signal
+from pbcgen.law.measure import Measurement
+from pbcgen.law.settings import Settings
 from pbcgen.models.design import Design
 from pbcgen.models.laws import Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.models.laws import gains as gains_of

@@ -18,7 +18,7 @@ import numpy as np
 from flint import arb, arb_mat
 from numpy.typing import NDArray
 
-from pbcgen.control.gain_matrices import exact_inverse
+from pbcgen.law.gain_matrices import exact_inverse
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.symbolic.real import Real, ball, is_finite, lower, rational, sign, upper
 

@@ -20,10 +20,10 @@ import numpy as np
 from flint import arb, arb_mat
 from numpy.typing import NDArray
 
-from pbcgen.control.common_storage import Array, decay, modal_basis, smallest_storage
 from pbcgen.control.derive import Derivation
 from pbcgen.control.saturated_loop import Box, SaturatedLoop, Slope, saturated_loop
 from pbcgen.proof.lyapunov import certainly_positive
+from pbcgen.sampling.common_storage import Array, decay, modal_basis, smallest_storage
 from pbcgen.symbolic.real import BITS, ball, precision, rational, upper
 
 #: Arguments of tanh up to which the sectors of a proposal reach.

@@ -13,18 +13,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from pbcgen.control.common_storage import solver_available
-from pbcgen.control.family import LoopFamily
-from pbcgen.control.gain_change import FACTORS, GainChange, gain_change
-from pbcgen.control.jitter import Jitter, jitter
-from pbcgen.control.linearisation import Examined, estimate, examine, spectral
-from pbcgen.control.lyapunov_period import LyapunovPeriods, lyapunov_periods
-from pbcgen.control.scan import Scan, scan
 from pbcgen.control.situation import Situation
-from pbcgen.control.transition import LinearLoop
 from pbcgen.models.laws import Law
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.spectrum import Stability, hurwitz
+from pbcgen.sampling.common_storage import solver_available
+from pbcgen.sampling.family import LoopFamily
+from pbcgen.sampling.gain_change import FACTORS, GainChange, gain_change
+from pbcgen.sampling.jitter import Jitter, jitter
+from pbcgen.sampling.linearisation import Examined, estimate, examine, spectral
+from pbcgen.sampling.lyapunov_period import LyapunovPeriods, lyapunov_periods
+from pbcgen.sampling.scan import Scan, scan
+from pbcgen.sampling.transition import LinearLoop
 from pbcgen.symbolic.real import midpoint
 
 #: How far the scan goes, as a multiple of the design's period.

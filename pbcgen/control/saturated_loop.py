@@ -14,11 +14,11 @@ import casadi as ca
 import numpy as np
 from flint import arb, arb_mat
 
-from pbcgen.control.common_storage import Array
-from pbcgen.control.compensation import compensated_force
 from pbcgen.control.derive import Derivation
+from pbcgen.law.compensation import compensated_force
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, base_law
+from pbcgen.sampling.common_storage import Array
 from pbcgen.symbolic.real import REAL, ZERO, Real, approximate, ball, lower, rational, reals, upper
 from pbcgen.symbolic.tape import Tape
 

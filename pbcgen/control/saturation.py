@@ -10,8 +10,8 @@ from math import inf
 import casadi as ca
 
 from pbcgen.control.amplitudes import blocking, largest_amplitudes, rooms
-from pbcgen.control.compensation import compensated_force
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.law.compensation import compensated_force
 from pbcgen.models.design import Design
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.models.limits import row_text

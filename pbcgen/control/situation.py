@@ -9,11 +9,9 @@ from functools import cached_property
 import casadi as ca
 from flint import fmpq
 
-from pbcgen.control.compensation import compensated_force
-from pbcgen.control.family import LoopFamily
-from pbcgen.control.gain_matrices import exact_inverse
-from pbcgen.control.transition import LinearLoop
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.law.compensation import compensated_force
+from pbcgen.law.gain_matrices import exact_inverse
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import BaseLaw, Integral, Law, NaturalDamping, PassiveOutput, base_law
 from pbcgen.passivity.dissipation import NaturalDampingBounds, theta_is_strict
@@ -24,6 +22,8 @@ from pbcgen.passivity.structure import PowerStructure
 from pbcgen.passivity.undamped import Plane, undamped_plane
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.spectrum import Stability, hurwitz
+from pbcgen.sampling.family import LoopFamily
+from pbcgen.sampling.transition import LinearLoop
 from pbcgen.symbolic.linear import Inconsistent, reduce_rows
 from pbcgen.symbolic.real import Real, fraction, sign
 

@@ -9,7 +9,7 @@
     wording       prose of header, README and manifest
     package       render and write
 
-The algorithm of a step is specified in :mod:`pbcgen.control.step`.
+The algorithm of a step is specified in :mod:`pbcgen.law.step`.
 """
 
 from pbcgen.emit.lowering import Extras

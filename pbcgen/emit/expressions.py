@@ -17,13 +17,13 @@ from enum import IntEnum
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
-from pbcgen.control.rounding import nearest
 from pbcgen.emit.literals import literal
+from pbcgen.law.rounding import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from pbcgen.control.law import Precision
+    from pbcgen.law.law import Precision
 
 #: A longer expression is given a name.
 INLINE_LENGTH: Final = 56

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from pbcgen.control.rounding import Real
+    from pbcgen.law.rounding import Real
 
 
 def literal(value: Real) -> str:

@@ -8,17 +8,6 @@ from fractions import Fraction
 
 import numpy as np
 
-from pbcgen.control.hyperbolic import COSH, DENOMINATOR, DOUBLINGS, FAST_ERROR, FAST_ULP, LIBM_ULP, NUMERATOR
-from pbcgen.control.law import (
-    ControlLaw,
-    Fallback,
-    Precision,
-    ScalarSolve,
-    Setter,
-    Signal,
-)
-from pbcgen.control.rounding import DTYPES, STATE_LIMIT, inward, nearest
-from pbcgen.control.step import channels_to_check, check_solves, equilibrium_output, initial_state, setting_bounds
 from pbcgen.emit.expressions import LIBRARY, Graph, Node, Printer, Statement
 from pbcgen.emit.identifiers import Scope
 from pbcgen.emit.literals import literal
@@ -37,6 +26,17 @@ from pbcgen.emit.program import (
 from pbcgen.emit.selftest import self_test
 from pbcgen.emit.solves import Coefficients, SolverFunctions, calls_of, constant_mus, t_names_of
 from pbcgen.errors import EmitError
+from pbcgen.law.hyperbolic import COSH, DENOMINATOR, DOUBLINGS, FAST_ERROR, FAST_ULP, LIBM_ULP, NUMERATOR
+from pbcgen.law.law import (
+    ControlLaw,
+    Fallback,
+    Precision,
+    ScalarSolve,
+    Setter,
+    Signal,
+)
+from pbcgen.law.rounding import DTYPES, STATE_LIMIT, inward, nearest
+from pbcgen.law.step import channels_to_check, check_solves, equilibrium_output, initial_state, setting_bounds
 from pbcgen.symbolic.tape import Matrix
 
 

@@ -11,14 +11,14 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Final
 
 import pbcgen
-from pbcgen.control.law import ControlLaw, ScalarSolve
-from pbcgen.control.step import StepStatus
 from pbcgen.emit import wording
 from pbcgen.emit.identifiers import package_prefix
 from pbcgen.emit.lowering import Extras, program_of
 from pbcgen.emit.program import Program
 from pbcgen.emit.templating import fill
 from pbcgen.errors import EmitError
+from pbcgen.law.law import ControlLaw, ScalarSolve
+from pbcgen.law.step import StepStatus
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
-from pbcgen.control.law import Signal
 from pbcgen.emit.expressions import Statement
+from pbcgen.law.law import Signal
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class FittedPiece:
 
 @dataclass(frozen=True)
 class FittedFunction:
-    """The C function of scalar solves for one mu, by a fit; see :mod:`pbcgen.control.fitted`.
+    """The C function of scalar solves for one mu, by a fit; see :mod:`pbcgen.law.fitted`.
 
     ``correction`` has coefficients from the highest down, or there are pieces; ``origin`` is what c^2 is subtracted
     from in the first piece, empty for nothing.

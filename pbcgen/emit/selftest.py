@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from pbcgen.control.rounding import DTYPES
-from pbcgen.control.step import ReferenceStep, StepStatus
 from pbcgen.emit.literals import literal
 from pbcgen.emit.program import SelfTest
 from pbcgen.errors import EmitError
+from pbcgen.law.rounding import DTYPES
+from pbcgen.law.step import ReferenceStep, StepStatus
 
 if TYPE_CHECKING:
-    from pbcgen.control.law import ControlLaw
+    from pbcgen.law.law import ControlLaw
 
 #: Number of steps.
 _STEPS: Final = 16

@@ -8,12 +8,12 @@ from fractions import Fraction
 
 import numpy as np
 
-from pbcgen.control.law import ControlLaw, Fit, ScalarSolve, VectorSolve
-from pbcgen.control.rounding import nearest
 from pbcgen.emit.expressions import Graph, Node
 from pbcgen.emit.literals import literal
 from pbcgen.emit.program import BlockCall, BlockFunction, FittedFunction, FittedPiece, ScalarCall, ScalarFunction
 from pbcgen.errors import EmitError
+from pbcgen.law.law import ControlLaw, Fit, ScalarSolve, VectorSolve
+from pbcgen.law.rounding import nearest
 from pbcgen.symbolic.tape import Matrix
 
 

@@ -7,10 +7,10 @@ import textwrap
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
-from pbcgen.control.law import ControlLaw, Fallback, Precision, Signal
-from pbcgen.control.rounding import STATE_LIMIT
-from pbcgen.control.step import StepStatus
 from pbcgen.emit.identifiers import spell
+from pbcgen.law.law import ControlLaw, Fallback, Precision, Signal
+from pbcgen.law.rounding import STATE_LIMIT
+from pbcgen.law.step import StepStatus
 from pbcgen.proof.claim import CLAIMS
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pbcgen.control.law import ControlLaw
 from pbcgen.emit import Package
 from pbcgen.errors import ToolchainError
+from pbcgen.law.law import ControlLaw
 from pbcgen.pipeline import Report
 from pbcgen.report.energy import along, lyapunov
 from pbcgen.run.simulate import (

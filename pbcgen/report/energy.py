@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from pbcgen.control.settings import column, matrix
+from pbcgen.law.settings import column, matrix
 from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pbcgen import pipeline
-from pbcgen.control.closed_loop import ClosedLoop
+from pbcgen.law.closed_loop import ClosedLoop
 from pbcgen.models.design import Design
 from pbcgen.models.laws import DynamicExtension, NaturalDamping
 from pbcgen.models.limits import Limits

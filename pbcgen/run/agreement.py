@@ -25,9 +25,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from pbcgen.control.law import ControlLaw, ScalarSolve, VectorSolve
-from pbcgen.control.rounding import DTYPES
-from pbcgen.control.step import NumpyAlgebra, solve_block, solve_scalar, tanh_of
+from pbcgen.law.law import ControlLaw, ScalarSolve, VectorSolve
+from pbcgen.law.rounding import DTYPES
+from pbcgen.law.step import NumpyAlgebra, solve_block, solve_scalar, tanh_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

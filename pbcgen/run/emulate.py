@@ -32,8 +32,8 @@ from pbcgen.run.wrapper import Interface
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pbcgen.control.closed_loop import ClosedLoop
-    from pbcgen.control.law import ControlLaw
+    from pbcgen.law.closed_loop import ClosedLoop
+    from pbcgen.law.law import ControlLaw
     from pbcgen.run.targets import Target
 
 Floats = NDArray[np.floating[Any]]

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbcgen.control.rounding import DTYPES
-from pbcgen.control.step import equilibrium_output, initial_state
+from pbcgen.law.rounding import DTYPES
+from pbcgen.law.step import equilibrium_output, initial_state
 
 if TYPE_CHECKING:
-    from pbcgen.control.closed_loop import ClosedLoop
-    from pbcgen.control.law import ControlLaw
+    from pbcgen.law.closed_loop import ClosedLoop
+    from pbcgen.law.law import ControlLaw
     from pbcgen.run.simulate import Trajectory
 
 Array = NDArray[Any]

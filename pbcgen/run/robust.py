@@ -33,8 +33,8 @@ from pbcgen.run.wrapper import Interface
 from pbcgen.symbolic.tape import Tape
 
 if TYPE_CHECKING:
-    from pbcgen.control.closed_loop import ClosedLoop
     from pbcgen.emit import Package
+    from pbcgen.law.closed_loop import ClosedLoop
     from pbcgen.models.design import Design
 
 Array = NDArray[np.float64]

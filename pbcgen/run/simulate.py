@@ -14,14 +14,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pbcgen.control.step import ReferenceStep
 from pbcgen.errors import PbcgenError
+from pbcgen.law.step import ReferenceStep
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbcgen.control.closed_loop import ClosedLoop
-    from pbcgen.control.law import ControlLaw
+    from pbcgen.law.closed_loop import ClosedLoop
+    from pbcgen.law.law import ControlLaw
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbcgen.control.law import Fallback
-from pbcgen.control.step import ReferenceStep, StepStatus
 from pbcgen.emit.package import Provenance, render
 from pbcgen.errors import ToolchainError
+from pbcgen.law.law import Fallback
+from pbcgen.law.step import ReferenceStep, StepStatus
 from pbcgen.models.exact import plain
 from pbcgen.run.agreement import Allowance
 from pbcgen.run.questions import memory, questions
@@ -30,9 +30,9 @@ from pbcgen.run.simulate import (
 from pbcgen.run.wrapper import Controller
 
 if TYPE_CHECKING:
-    from pbcgen.control.closed_loop import ClosedLoop
-    from pbcgen.control.law import ControlLaw, Setter
     from pbcgen.emit.package import Package
+    from pbcgen.law.closed_loop import ClosedLoop
+    from pbcgen.law.law import ControlLaw, Setter
 
 Array = NDArray[Any]
 

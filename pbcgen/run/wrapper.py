@@ -15,18 +15,18 @@ from cffi import FFI
 from jinja2 import Template
 from numpy.typing import ArrayLike, NDArray
 
-from pbcgen.control.rounding import DTYPES
 from pbcgen.emit.package import MANIFEST
 from pbcgen.emit.templating import templates_in
 from pbcgen.errors import ModelError, ToolchainError
+from pbcgen.law.rounding import DTYPES
 from pbcgen.run.toolchain import STRICT_FLAGS, Compiler, find_compiler
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from types import TracebackType
 
-    from pbcgen.control.law import Precision
     from pbcgen.emit.package import Package
+    from pbcgen.law.law import Precision
 
 Floats = NDArray[np.floating[Any]]
 Integers = NDArray[np.intc]

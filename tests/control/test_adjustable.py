@@ -10,16 +10,16 @@ import pytest
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Limits, NaturalDamping, pipeline
 from pbcgen.control.cells import Loops
-from pbcgen.control.linearisation import period_matrix
-from pbcgen.control.step import ReferenceStep
-from pbcgen.control.transition import Transition
 from pbcgen.errors import ModelError, NotProved
+from pbcgen.law.step import ReferenceStep
 from pbcgen.models.loader import load
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.target_map import NotExplicit, TargetMap, target_map
 from pbcgen.proof.claim import Status
 from pbcgen.run.simulate import simulate_sampled
 from pbcgen.run.wrapper import Controller
+from pbcgen.sampling.linearisation import period_matrix
+from pbcgen.sampling.transition import Transition
 from pbcgen.symbolic.real import BITS, approximate, ball, precision, rational
 
 pytestmark = pytest.mark.system

@@ -11,15 +11,15 @@ import casadi as ca
 import pytest
 
 from pbcgen import Circuit, Design, DynamicExtension, Limits, Mechanical, Parameters
-from pbcgen.control import linearisation
-from pbcgen.control.closed_loop import until_settled
 from pbcgen.control.derive import derive
-from pbcgen.control.gain_change import scaled
-from pbcgen.control.linearisation import examine, spectral
 from pbcgen.control.situation import Situation
+from pbcgen.law.closed_loop import until_settled
 from pbcgen.pipeline import check
 from pbcgen.proof.claim import Status
 from pbcgen.proof.spectrum import schur
+from pbcgen.sampling import linearisation
+from pbcgen.sampling.gain_change import scaled
+from pbcgen.sampling.linearisation import examine, spectral
 
 
 def ladder(

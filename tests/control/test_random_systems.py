@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pbcgen import AffineSystem, Circuit, Design, DynamicExtension, Mechanical, PassiveOutput, PotentialCompensation
-from pbcgen.control.step import ReferenceStep
+from pbcgen.law.step import ReferenceStep
 from pbcgen.pipeline import certificate, check
 from pbcgen.verify.claims import examine
 

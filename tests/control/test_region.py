@@ -8,12 +8,12 @@ import pytest
 from flint import arb, arb_mat
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical
-from pbcgen.control import common_storage
 from pbcgen.control.derive import derive
 from pbcgen.control.region import _decreases, certified_region
 from pbcgen.control.saturated_loop import saturated_loop
 from pbcgen.models.loader import load
 from pbcgen.run.simulate import simulate_continuous
+from pbcgen.sampling import common_storage
 from pbcgen.symbolic.real import BITS, precision
 from tests.control.test_sampled import two_masses
 

@@ -9,19 +9,19 @@ from scipy.linalg import expm
 
 from pbcgen import Design, DynamicExtension, Limits, Mechanical, ModelError, NaturalDamping, PassiveOutput, pipeline
 from pbcgen.control.derive import derive
-from pbcgen.control.family import LoopFamily
-from pbcgen.control.gain_change import gain_change, scaled
-from pbcgen.control.jitter import jitter
-from pbcgen.control.linearisation import Spectrum, delayed_matrix, period_matrix, radius_in_doubles, spectral
 from pbcgen.control.sampled import radius_text
-from pbcgen.control.scan import scan
-from pbcgen.control.transition import LinearLoop, Transition
-from pbcgen.control.trial import Trial
 from pbcgen.examples import path
 from pbcgen.models.loader import load
 from pbcgen.proof.claim import Status
 from pbcgen.proof.spectrum import schur
+from pbcgen.sampling.family import LoopFamily
+from pbcgen.sampling.gain_change import gain_change, scaled
+from pbcgen.sampling.jitter import jitter
+from pbcgen.sampling.linearisation import Spectrum, delayed_matrix, period_matrix, radius_in_doubles, spectral
+from pbcgen.sampling.scan import scan
+from pbcgen.sampling.transition import LinearLoop, Transition
 from pbcgen.symbolic.real import ball, precision, rational
+from pbcgen.tuning.trial import Trial
 
 
 def frictionless_arm(directory):

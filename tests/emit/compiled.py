@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import cffi
 import numpy as np
 
-from pbcgen.control.step import StepStatus
+from pbcgen.law.step import StepStatus
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pbcgen.control.law import ControlLaw
     from pbcgen.emit import Package
+    from pbcgen.law.law import ControlLaw
 
 WARNINGS = (
     *("-pedantic", "-Wall", "-Wextra", "-Werror", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Wcast-qual"),

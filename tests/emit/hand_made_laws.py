@@ -9,7 +9,8 @@ from functools import cache
 import casadi as ca
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Limits, pipeline
-from pbcgen.control.law import (
+from pbcgen.emit import Extras, Provenance
+from pbcgen.law.law import (
     ControlLaw,
     Fallback,
     Precision,
@@ -19,8 +20,7 @@ from pbcgen.control.law import (
     Signal,
     VectorSolve,
 )
-from pbcgen.control.solves import with_tanh
-from pbcgen.emit import Extras, Provenance
+from pbcgen.law.solves import with_tanh
 from pbcgen.symbolic.tape import Tape
 
 PROVENANCE = Provenance(

@@ -11,10 +11,10 @@ import hand_made_laws as laws
 import pytest
 from compiled import run
 
-from pbcgen.control.law import Fallback
-from pbcgen.control.solves import with_tanh
 from pbcgen.emit import render
 from pbcgen.emit.wording import DEVIATIONS
+from pbcgen.law.law import Fallback
+from pbcgen.law.solves import with_tanh
 
 pytestmark = pytest.mark.system
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from compiled import Compiled, compiler, run
 
-from pbcgen.control.law import Fallback, VectorSolve
-from pbcgen.control.rounding import STATE_LIMIT
-from pbcgen.control.solves import with_tanh
-from pbcgen.control.step import ReferenceStep, StepStatus
 from pbcgen.emit import render
+from pbcgen.law.law import Fallback, VectorSolve
+from pbcgen.law.rounding import STATE_LIMIT
+from pbcgen.law.solves import with_tanh
+from pbcgen.law.step import ReferenceStep, StepStatus
 
 LAWS = {
     "two_channels": laws.two_channels,

@@ -11,8 +11,8 @@ import hand_made_laws as laws
 import pytest
 from compiled import run
 
-from pbcgen.control.solves import with_tanh
 from pbcgen.emit import render
+from pbcgen.law.solves import with_tanh
 
 GENERATED = Path(__file__).resolve().parents[2] / "generated"
 

@@ -14,11 +14,11 @@ from compiled import WARNINGS, compiler, run
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from pbcgen.control.step import NumpyAlgebra
 from pbcgen.emit.expressions import FORMS, Graph, Printer
 from pbcgen.emit.lowering import constants_of
 from pbcgen.emit.templating import fill
 from pbcgen.errors import EmitError, UnsupportedOperation
+from pbcgen.law.step import NumpyAlgebra
 from pbcgen.symbolic.tape import OPERATIONS, Operation, Tape
 
 

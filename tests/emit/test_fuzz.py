@@ -13,8 +13,8 @@ import pytest
 from compiled import run
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from pbcgen.control.law import Fallback
 from pbcgen.emit import render
+from pbcgen.law.law import Fallback
 
 #: Of each fuzzer; `make fuzz` takes 600.
 SECONDS = int(os.environ.get("FUZZ_SECONDS", "3"))

@@ -15,9 +15,9 @@ import hand_made_laws as laws
 import numpy as np
 import pytest
 
-from pbcgen.control.law import Signal
 from pbcgen.emit import render
 from pbcgen.errors import EmitError
+from pbcgen.law.law import Signal
 
 
 @pytest.fixture

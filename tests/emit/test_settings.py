@@ -11,9 +11,9 @@ import hand_made_laws as laws
 import numpy as np
 import pytest
 
-from pbcgen.control.law import Signal
-from pbcgen.control.step import ReferenceStep, StepStatus
 from pbcgen.emit import render
+from pbcgen.law.law import Signal
+from pbcgen.law.step import ReferenceStep, StepStatus
 from pbcgen.run.wrapper import Controller
 from pbcgen.symbolic.tape import Tape
 

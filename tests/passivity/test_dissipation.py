@@ -5,7 +5,7 @@ import pytest
 from flint import fmpq
 
 from pbcgen import AffineSystem, Circuit, Design, Mechanical, NaturalDamping
-from pbcgen.control.certificate import certificate
+from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.passivity.damping_bounds import tightened
 from pbcgen.proof.claim import Status

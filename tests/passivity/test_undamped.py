@@ -6,7 +6,7 @@ import casadi as ca
 import pytest
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Integral, Mechanical, PassiveOutput, check
-from pbcgen.control.certificate import certificate
+from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.passivity.equilibrium import complete
 from pbcgen.passivity.plant import Plant

@@ -7,8 +7,8 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 
-from pbcgen.control.closed_loop import ClosedLoop
-from pbcgen.control.law import ControlLaw, Fallback, ScalarSolve, Signal
+from pbcgen.law.closed_loop import ClosedLoop
+from pbcgen.law.law import ControlLaw, Fallback, ScalarSolve, Signal
 from pbcgen.run.wrapper import Interface, Member
 from pbcgen.symbolic.tape import Tape
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from pbcgen import pipeline
-from pbcgen.control.step import ReferenceStep
 from pbcgen.errors import ToolchainError
+from pbcgen.law.step import ReferenceStep
 from pbcgen.models.loader import load
 from pbcgen.run.emulate import Emulated, measure, missing_tools
 from pbcgen.run.targets import TARGETS, target

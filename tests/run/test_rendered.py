@@ -10,10 +10,10 @@ import numpy as np
 import oscillator
 import pytest
 
-from pbcgen.control.closed_loop import ClosedLoop
-from pbcgen.control.law import ControlLaw, Fallback, ScalarSolve, Signal, VectorSolve
 from pbcgen.emit.package import Package, Provenance, render
 from pbcgen.errors import ToolchainError
+from pbcgen.law.closed_loop import ClosedLoop
+from pbcgen.law.law import ControlLaw, Fallback, ScalarSolve, Signal, VectorSolve
 from pbcgen.run.toolchain import find_zig
 from pbcgen.run.validate import validate
 from pbcgen.run.wrapper import Controller, Interface

@@ -7,7 +7,7 @@ import oscillator
 import pytest
 from scipy.linalg import expm
 
-from pbcgen.control.closed_loop import ClosedLoop, until_settled
+from pbcgen.law.closed_loop import ClosedLoop, until_settled
 from pbcgen.run.simulate import (
     PythonStepper,
     SimulationError,

@@ -9,7 +9,7 @@ import numpy as np
 import oscillator
 import pytest
 
-from pbcgen.control.step import ReferenceStep
+from pbcgen.law.step import ReferenceStep
 from pbcgen.run.agreement import Allowance, _Inexact
 from pbcgen.run.simulate import PythonStepper, simulate_sampled
 from pbcgen.run.validate import Validation, check_limits, compare, observe_order, validate_controller

@@ -8,9 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pbcgen import pipeline
-from pbcgen.control.step import ReferenceStep
 from pbcgen.emit import Extras
 from pbcgen.errors import ModelError, ToolchainError
+from pbcgen.law.step import ReferenceStep
 from pbcgen.models.loader import load
 from pbcgen.run.wrapper import Controller
 

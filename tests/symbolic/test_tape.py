@@ -9,8 +9,8 @@ import pytest
 from graphs import BINARY, UNARY, graphs
 from hypothesis import given, settings
 
-from pbcgen.control.step import NumpyAlgebra
 from pbcgen.errors import ModelError, UnsupportedOperation
+from pbcgen.law.step import NumpyAlgebra
 from pbcgen.symbolic.tape import OPERATIONS, Constant, Tape, exact_decimal
 
 _ALGEBRA = NumpyAlgebra("double")

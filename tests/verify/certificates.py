@@ -9,7 +9,7 @@ import re
 import casadi as ca
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Limits, NaturalDamping, Parameters, PassiveOutput, load
-from pbcgen.control.certificate import certificate
+from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.models.identity import canonical_text
 from pbcgen.verify.claims import examine

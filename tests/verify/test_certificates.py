@@ -20,7 +20,7 @@ from certificates import (
 )
 
 from pbcgen import Design, DynamicExtension, Limits, Mechanical
-from pbcgen.control.certificate import certificate
+from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.models.identity import canonical_text
 from pbcgen.models.loader import load

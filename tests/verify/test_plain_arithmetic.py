@@ -9,7 +9,7 @@ from flint import arb, fmpq
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pbcgen.control.writing import Writing
+from pbcgen.certify.writing import Writing
 from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import is_definite
 from pbcgen.symbolic.plain.spectra import krawczyk, stable

@@ -13,7 +13,7 @@ from certificates import outcomes, signed
 from scipy.linalg import expm
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Limits, load
-from pbcgen.control.certificate import certificate
+from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.proof.claim import Status
 from pbcgen.symbolic.plain.formulas import rational

@@ -9,9 +9,9 @@ import pytest
 from certificates import outcomes, signed
 from designs import DESIGNS, planar_arm
 
-from pbcgen.control.certificate import certificate
+from pbcgen.certify.certificate import certificate
+from pbcgen.certify.writing import Writing
 from pbcgen.control.derive import derive
-from pbcgen.control.writing import Writing
 from pbcgen.models.identity import canonical_text
 from pbcgen.models.inertia import solve
 from pbcgen.proof.claim import Status

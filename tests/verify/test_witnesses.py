@@ -12,8 +12,8 @@ from certificates import IDLE, certificate_of, outcomes, signed, spoiled
 from designs import DESIGNS, two_links
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Limits, Mechanical, NaturalDamping
-from pbcgen.control import stability_witness
-from pbcgen.control.certificate import certificate
+from pbcgen.certify import stability_witness
+from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.proof.claim import Status

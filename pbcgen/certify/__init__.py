@@ -1,0 +1,1 @@
+"""Certificates: witnesses for the claims, found with the prover's means and written for the checker."""

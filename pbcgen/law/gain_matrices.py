@@ -1,0 +1,68 @@
+"""The matrices of a filter's implicit step: exact, or formulas where a diagonal gain may change at run time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+from flint import fmpq, fmpq_mat
+
+from pbcgen.law.settings import GainMatrix, times
+from pbcgen.models.gains import Matrix, diagonal
+from pbcgen.symbolic.real import fraction, rational
+
+
+@dataclass(frozen=True, eq=False)
+class Implicit:
+    """Backward Euler for ``x' = -R (K x + v)``: ``growth x+ = x - h R v``.
+
+    Attributes:
+        growth: I + h R K.
+        decay: its inverse E.
+        push: E h R.
+    """
+
+    growth: GainMatrix
+    decay: GainMatrix
+    push: GainMatrix
+
+    @staticmethod
+    def of(R: GainMatrix, K: GainMatrix, h: Fraction) -> Implicit:
+        """The step with sample period h. Gains that are symbols stand in diagonal matrices, and K beside them too."""
+        exact_R, exact_K = _numbers(R), _numbers(K)
+        if exact_R is not None and exact_K is not None:
+            growth = _identity_plus(_scaled(_product(exact_R, exact_K), h))
+            decay = exact_inverse(growth)
+            return Implicit(growth, decay, _scaled(_product(decay, exact_R), h))
+        entries = range(len(R))
+        sums = [1 + times(h, R[i][i], K[i][i]) for i in entries]
+        decays = [1 / v for v in sums]
+        pushes = [times(h, R[i][i], decays[i]) for i in entries]
+        return Implicit(diagonal(sums), diagonal(decays), diagonal(pushes))
+
+
+def exact_inverse(rows: Matrix) -> Matrix:
+    """The inverse of a regular matrix of fractions."""
+    inverted = fmpq_mat([[rational(v) for v in row] for row in rows]).inv().tolist()
+    return tuple(tuple(fraction(fmpq(v)) for v in row) for row in inverted)
+
+
+def _numbers(rows: GainMatrix) -> Matrix | None:
+    """The matrix, if all its entries are numbers."""
+    found = tuple(tuple(v for v in row if isinstance(v, Fraction)) for row in rows)
+    return found if all(len(a) == len(b) for a, b in zip(found, rows, strict=True)) else None
+
+
+def _product(a: Matrix, b: Matrix) -> Matrix:
+    columns = list(zip(*b, strict=True))
+    return tuple(
+        tuple(sum((x * y for x, y in zip(row, col, strict=True)), Fraction(0)) for col in columns) for row in a
+    )
+
+
+def _scaled(a: Matrix, factor: Fraction) -> Matrix:
+    return tuple(tuple(v * factor for v in row) for row in a)
+
+
+def _identity_plus(a: Matrix) -> Matrix:
+    return tuple(tuple(v + (i == j) for j, v in enumerate(row)) for i, row in enumerate(a))

@@ -1,0 +1,1 @@
+"""Claims for all positive values of the parameters."""

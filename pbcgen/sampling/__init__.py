@@ -1,0 +1,1 @@
+"""The linearised loop over sample periods: transition matrices, scans with proof, periods that change."""

@@ -1,0 +1,314 @@
+"""Sample periods scanned with proof: where the linearised sampled loop is stable for every h, not at grid points only.
+
+The transition M(h) of the loop over one period is analytic in h. On a cell ``h = c + delta``, ``|delta| <= r``, in the
+coordinates of the eigenvectors of M(c) and after the similarity ``I + delta X + delta^2 Y`` that follows them, M is
+``D + delta L + delta^2 Q`` (diagonal) plus a rest of third order in r. If the weighted row sums of moduli stay below
+one, every M(h) of the cell is a contraction in one weighted maximum norm: that is the certificate of a cell, checked in
+ball arithmetic.
+
+Cells that overlap from h = 0 on prove stability up to the end of the last one. There is no sampling in between, so
+windows of instability cannot be missed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from flint import acb, acb_mat, arb, arb_mat
+
+from pbcgen.proof.claim import Status
+from pbcgen.sampling.transition import LinearLoop, Transition, diagonalise, entries, midpoints
+from pbcgen.symbolic.real import ball, enclose, in_high_precision, precision, rational
+
+#: Bits of the balls of a scan; the decision at a single period uses more.
+SCAN_BITS = 128
+#: Bits of the eigenvectors that serve as coordinates: any will do that nearly diagonalise.
+_EIGENVECTOR_BITS = 80
+
+#: How the width changes from cell to cell: soon after a failure, later, after a failure, and after several.
+_STEADY, _FAST, _BACK, _RETREAT = Fraction(11, 10), Fraction(3, 2), Fraction(7, 10), Fraction(1, 3)
+_CAUTION = 8
+
+#: A cell narrower than this, relative to its period, ends the scan.
+NARROWEST = 1e-7
+
+
+@dataclass(frozen=True)
+class Scan:
+    """What a scan proved.
+
+    Attributes:
+        start: the scan began here; 0 means that all periods down to zero are covered.
+        stable_to: every h in (start, stable_to] gives a Schur-stable loop.
+        unstable_at: a period just beyond at which the loop is proved not to be stable, or None if none was found.
+        cells: the certificate: for each cell (h1, h2) its end points.
+        delay: of the input, in samples.
+        complete: whether the scan reached the end of its range without a failure.
+        exhausted: whether it stopped because it had tried as many cells as it was allowed.
+    """
+
+    start: Fraction
+    stable_to: Fraction
+    unstable_at: Fraction | None
+    cells: tuple[tuple[Fraction, Fraction], ...]
+    delay: Fraction
+    complete: bool
+    exhausted: bool = False
+
+
+# --- cells -------------------------------------------------------------------------------------------------------
+
+
+def _absolute(matrix: acb_mat) -> arb_mat:
+    """Upper bounds of the moduli of the entries."""
+    return arb_mat(matrix.nrows(), matrix.ncols(), [v.abs_upper() for _, _, v in entries(matrix)])
+
+
+def _contracts(gaps: list[arb], rest: arb_mat) -> bool:
+    """Whether positive weights w exist with ``gaps_i w_i > (rest w)_i``: then the weighted maximum norm contracts."""
+    size = len(gaps)
+    if any(not g > 0 for g in gaps) or any(not rest[i, j].is_finite() for i in range(size) for j in range(size)):
+        return False
+    g = np.array([float(v.mid()) for v in gaps])
+    P = np.array([[float(rest[i, j].upper()) for j in range(size)] for i in range(size)])
+    try:
+        w = np.linalg.solve(np.diag(g) - P, g)
+    except np.linalg.LinAlgError:
+        return False
+    if not np.all(np.isfinite(w)) or np.any(w <= 0):
+        return False
+    weights = arb_mat(size, 1, [arb(float(v)) for v in w])
+    pushed = rest * weights
+    return all(gaps[i] * weights[i, 0] > pushed[i, 0] for i in range(size))
+
+
+def _first_cell(transition: Transition, continuous: acb_mat, end: arb) -> bool:
+    """Whether the loop is stable for every h in (0, end].
+
+    With ``M = I + h (J + h M''/2)``, J the continuous loop, and ``|1 + h mu| <= 1 + h Re mu + h^2 |mu|^2 / 2``.
+    """
+    found = diagonalise(continuous)
+    if found is None:
+        return False
+    V, inverse, _, values, error = found
+    try:
+        curved = _absolute(inverse * transition.jet(arb(0).union(end)).c2 * V)
+    except ZeroDivisionError:
+        return False
+    size = transition.size
+    halo = error.upper()
+    rest = arb_mat(
+        size, size, [curved[i, j] * end + (halo if i != j else arb(0)) for i in range(size) for j in range(size)]
+    )
+    gaps = [-(v.real + end * v.abs_upper() ** 2 / 2) for v in values]
+    return _contracts([arb(g.lower()) for g in gaps], rest)
+
+
+def _cell(transition: Transition, centre: arb, r: arb, span: arb) -> bool:
+    """Whether the loop is stable for every h within r of the centre; ``span`` is that set of periods.
+
+    With ``M = N0 + delta N1 + delta^2 N2 + delta^3 N3`` in the eigenvectors of M(c), N3 over the whole cell, and
+    ``T = I + delta X + delta^2 Y``: ``M T - T (D + delta L + delta^2 Q)`` by powers of delta, D, L, Q diagonal.
+    """
+    size = transition.size
+    jet = transition.jet(centre)
+    try:
+        with precision(_EIGENVECTOR_BITS):
+            _, V = midpoints(jet.c0).eig(right=True, algorithm="approx")
+        V = midpoints(V)
+        inverse = V.inv()
+        last = transition.jet(span).c3
+    except (ValueError, ZeroDivisionError):
+        return False
+    N0, N1, N2, N3 = (inverse * part * V for part in (jet.c0, jet.c1, jet.c2, last))
+    D, L = _diagonal(N0), _diagonal(N1)
+    reach = float(r.mid())
+    X = _following(N0, N1, reach)
+    second = N2 + N1 * X - X * L
+    Q = _diagonal(second)
+    Y = _following(N0, second, reach**2)
+    powers = [
+        N0 - D,
+        N1 + N0 * X - X * D - L,
+        second + N0 * Y - Y * D - Q,
+        N3 + N2 * X + N1 * Y - X * Q - Y * L,
+        N3 * X + N2 * Y - Y * Q,
+        N3 * Y,
+    ]
+    defect, power = arb_mat(size, size), arb(1)
+    for part in powers:
+        defect, power = defect + _absolute(part) * power, power * r
+    try:
+        rest = _neumann(_absolute(X) * r + _absolute(Y) * (r * r)) * defect
+    except ZeroDivisionError:
+        return False
+    return _contracts([_gap(D[i, i], L[i, i], Q[i, i], r) for i in range(size)], rest)
+
+
+def _diagonal(matrix: acb_mat) -> acb_mat:
+    size = matrix.nrows()
+    return acb_mat(size, size, [matrix[i, i] if i == j else acb(0) for i in range(size) for j in range(size)])
+
+
+def _gap(value: acb, slope: acb, curve: acb, r: arb) -> arb:
+    """A lower bound of ``1 - |value + delta slope + delta^2 curve|`` for ``|delta| <= r``, by the square's terms."""
+    square = abs(value) ** 2
+    tilt = 2 * (value.real * slope.real + value.imag * slope.imag)
+    bend = abs(slope) ** 2 + 2 * (value.real * curve.real + value.imag * curve.imag)
+    twist = 2 * (slope.real * curve.real + slope.imag * curve.imag)
+    most = square + abs(tilt) * r + bend.union(arb(0)) * r**2 + abs(twist) * r**3 + abs(curve) ** 2 * r**4
+    return arb((1 - most.abs_upper().sqrt()).lower())
+
+
+def _following(N0: acb_mat, N: acb_mat, reach: float) -> acb_mat:
+    """X with ``N + D X - X D`` diagonal where eigenvalues stay apart for ``|t| <= reach``: exact numbers, else zero."""
+    size = N0.nrows()
+    values = [N0[i, i].mid() for i in range(size)]
+    turns = []
+    for i, j, entry in entries(N):
+        difference = values[j] - values[i]
+        if i == j or not difference.abs_lower() > 0:
+            turns.append(acb(0))
+            continue
+        x = (entry.mid() / difference).mid()
+        turn = (x * (N[j, i].mid() / difference)).abs_upper()
+        turns.append(x if float(turn.mid()) * reach**2 < 0.09 else acb(0))
+    return acb_mat(size, size, turns)
+
+
+def _real_identity(size: int) -> arb_mat:
+    return arb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
+
+
+def _neumann(P: arb_mat) -> arb_mat:
+    """An upper bound of ``sum_k P^k`` for P >= 0. Raises ZeroDivisionError if the series may diverge."""
+    size = P.nrows()
+    if not _contracts([arb(1)] * size, P):
+        raise ZeroDivisionError
+    inverted = (_real_identity(size) - P).inv()
+    return arb_mat(size, size, [inverted[i, j].abs_upper() for i in range(size) for j in range(size)])
+
+
+# --- the scan ----------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class _March:
+    """Cells one behind the other, each as wide as it can be proved."""
+
+    transition: Transition
+    at: Fraction
+    end: Fraction
+    width: Fraction
+    cells: list[tuple[Fraction, Fraction]]
+    tries: int | None = None
+
+    def run(self) -> bool:
+        """Go on to the end; False where the cells become too narrow or the tries run out."""
+        streak = 0  # cells since the last failure; below zero, failures since the last cell
+        while self.at < self.end:
+            if self.tries is not None:
+                if self.tries == 0:
+                    return False
+                self.tries -= 1
+            width = min(self.width, self.end - self.at)
+            upper = self.at + width
+            if self._holds(self.at, upper):
+                streak = max(streak, 0) + 1
+                self.cells.append((self.at, upper))
+                self.at, self.width = upper, _short(width * (_STEADY if streak <= _CAUTION else _FAST))
+            else:
+                streak = min(streak, 0) - 1
+                self.width = _short(width * (_BACK if streak == -1 else _RETREAT))
+                if self.width < self.at * Fraction(NARROWEST):
+                    return False
+        return True
+
+    def _holds(self, lo: Fraction, hi: Fraction) -> bool:
+        centre = (lo + hi) / 2
+        r = (hi - lo) / 2
+        return _cell(self.transition, ball(rational(centre)), arb(ball(rational(r)).upper()), enclose(lo, hi))
+
+
+def _short(value: Fraction) -> Fraction:
+    """A fraction with a short denominator a little below the value, so that end points stay short."""
+    exponent = math.frexp(float(value))[1] - 12
+    unit = Fraction(2) ** exponent
+    return Fraction(math.floor(value / unit)) * unit
+
+
+def scan(
+    loop: LinearLoop,
+    end: Fraction,
+    *,
+    delay: Fraction = Fraction(0),
+    start: Fraction = Fraction(0),
+    tries: int | None = None,
+) -> Scan:
+    """Prove stability for all sample periods from ``start`` on, as far as it holds, at most to ``end``.
+
+    Args:
+        loop: plant and law at the target.
+        end: the largest period that matters, seconds.
+        delay: of the input in samples, 0 to 2, whole or not.
+        start: where to begin, seconds. With a delay it must be positive.
+        tries: how many cells may be tried; as many as it takes by default.
+
+    Returns:
+        The proved range and, where it ends before ``end``, a period at which the loop is proved unstable.
+    """
+    with precision(SCAN_BITS):
+        transition = Transition(loop, delay)
+        cells: list[tuple[Fraction, Fraction]] = []
+        at = start
+        if start == 0:
+            first = _begin(transition, end)
+            if first is None:
+                return Scan(start, start, _unstable_after(transition, Fraction(0), end), (), delay, False)
+            cells.append((Fraction(0), first))
+            at = first
+        march = _March(transition, at, end, at / 2, cells, tries)
+        complete = march.run()
+        exhausted = not complete and march.tries == 0
+        unstable = None if complete or exhausted else _unstable_after(transition, march.at, end)
+        return Scan(start, march.at, unstable, tuple(march.cells), delay, complete, exhausted)
+
+
+def _begin(transition: Transition, end: Fraction) -> Fraction | None:
+    """The end of a first cell that starts at h = 0, or None if the continuous loop is not certainly Hurwitz."""
+    continuous = transition.jet(arb(0)).c1
+    h = end
+    for _ in range(120):
+        if _first_cell(transition, continuous, ball(rational(h))):
+            return h
+        h = _short(h / 4)
+    return None
+
+
+def _unstable_after(transition: Transition, h: Fraction, end: Fraction) -> Fraction | None:
+    """A period closely behind h at which the loop is proved not to be stable."""
+    base = h if h > 0 else end * Fraction(1, 10**9)
+    for exponent in range(-7, 1):
+        candidate = base * (1 + Fraction(10) ** exponent)
+        if candidate > end:
+            return None
+        candidate = candidate.limit_denominator(10**18)
+        if decide(transition, candidate) is Status.REFUTED:
+            return candidate
+    return None
+
+
+@in_high_precision
+def decide(transition: Transition, h: Fraction) -> Status:
+    """Whether the loop with this sample period is Schur stable: PROVED, REFUTED or UNDECIDED."""
+    M = transition.jet(ball(rational(h))).c0
+    if _cell(transition, ball(rational(h)), arb(0), ball(rational(h))):
+        return Status.PROVED
+    try:
+        values = M.eig(multiple=True)
+    except (ValueError, ZeroDivisionError):
+        return Status.UNDECIDED
+    return Status.REFUTED if any(v.abs_lower() > 1 for v in values) else Status.UNDECIDED
