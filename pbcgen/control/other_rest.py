@@ -5,6 +5,8 @@ Only those count at which the model is stated and its storage defined: formulas 
 
 from __future__ import annotations
 
+from itertools import chain
+
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +53,8 @@ def other_rest(situation: Situation) -> list[Real] | None:
     star = np.array([approximate(v) for v in (*point.x[:free], *point.u)])
     spread = np.full(len(star), 10.0)
     turned = star + np.pi * np.eye(len(star))[: free if still else 0]  # an arm with one link upside down
-    starts = (*_with_gamma_kept(situation, star, free), *turned)
-    around = Search(star - spread, star + spread, starts, _STARTS)
+    likely = Search(star - spread, star + spread, tuple(turned), 0)
+    around = Search(star - spread, star + spread, _with_gamma_kept(situation, star, free), _STARTS)
     tape = Tape.of([*plant.symbols, at_star], [residual, jacobian])
     parameters: list[Real] = [rational(v) for v in plant.parameter_values]
 
@@ -63,8 +65,11 @@ def other_rest(situation: Situation) -> list[Real] | None:
         value, slope = (v.dense(ZERO) for v in tape.walk(REAL, [*whole(z), parameters, constants]))
         return [row[0] for row in value], slope
 
+    def zeros(search: Search) -> list[NDArray[np.float64]]:
+        return sorted(find_zeros(evaluate, search), key=lambda z: float(np.linalg.norm(z - star)))
+
     with precision(BITS):
-        for zero in sorted(find_zeros(evaluate, around), key=lambda z: float(np.linalg.norm(z - star))):
+        for zero in chain.from_iterable(map(zeros, (likely, around) if still else (around,))):
             if np.max(np.abs(zero[:free] - star[:free])) < 1e-6 * (1 + np.max(np.abs(star[:free]))):
                 continue
             centre = polish(in_balls, list(zero))
