@@ -99,13 +99,18 @@ def storage_is_convex(situation: Situation) -> bool:
     return _is_convex(situation) or _is_convex_with_its_force(situation)
 
 
+def _at_rest(situation: Situation) -> tuple[ca.SX, ca.SX]:
+    """What is stored where nothing moves, and the states that it depends on: S, of a mechanical system V(q)."""
+    system = situation.plant.system
+    return (system.S, system.x) if system.mechanical is None else (system.mechanical.V, system.mechanical.q)
+
+
 def _is_convex_with_its_force(situation: Situation) -> bool:
     """Whether ``S + kappa^T gamma`` is convex, with a strict minimum at x*; what else is stored is not negative.
 
     Its Hessian is affine in kappa, so it is enough to look at the corners of an enclosure of kappa.
     """
-    plant, mechanics = situation.plant, situation.plant.system.mechanical
-    energy, variables = (plant.system.S, plant.system.x) if mechanics is None else (mechanics.V, mechanics.q)
+    plant, (energy, variables) = situation.plant, _at_rest(situation)
     if len(situation.point.u) > _MOST_FORCES:
         return False
     for corner in product(*[{-lower(u), -upper(u)} for u in situation.point.u]):
@@ -122,11 +127,11 @@ def _is_convex_with_its_force(situation: Situation) -> bool:
 
 
 def _is_convex(situation: Situation) -> bool:
-    plant, system = situation.plant, situation.plant.system
-    mechanics = system.mechanical
-    energy, variables = (mechanics.V, mechanics.q) if mechanics is not None else (system.S, system.x)
+    plant, (energy, variables) = situation.plant, _at_rest(situation)
     try:
-        _, (hessian, slope) = plant.exact(ca.hessian(energy, variables)[0], ca.jacobian(situation.gamma, system.x))
+        _, (hessian, slope) = plant.exact(
+            ca.hessian(energy, variables)[0], ca.jacobian(situation.gamma, plant.system.x)
+        )
     except (UnsupportedOperation, ZeroDivisionError):
         return False
     affine = all(entry.constant() is not None for entry in slope.entries.values())

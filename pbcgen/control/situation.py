@@ -102,6 +102,11 @@ class Situation:
         return hurwitz(self.loop.continuous())
 
     @property
+    def _held_input(self) -> tuple[Real, ...]:
+        """What the saturated terms hold at x*: u*, or nothing where the compensation holds it."""
+        return self.point.u if self.compensation is None else (fmpq(0),) * self.plant.system.m
+
+    @property
     def _read(self) -> ca.SX:
         """What the controller reads of the state: gamma, and eta for natural damping; a column."""
         if isinstance(self.base, NaturalDamping) and self.eta is not None:
@@ -153,7 +158,7 @@ class Situation:
         this fixes, which does not hold at x*, then holds nowhere.
         """
         plant, system = self.plant, self.plant.system
-        fixed = self._numbers([fmpq(0)] * system.m if self.compensation is not None else list(self.point.u))
+        fixed = self._numbers(self._held_input)
         if fixed is None or len(part.inputs) < system.m or not part.pending:
             return False
         change = ca.vertcat(*[part.inputs[j] - fixed[j] for j in range(system.m)])
@@ -204,8 +209,7 @@ class Situation:
         relations = [system.x[k] - value for k, value in part.solved.items()]
         relations += [constant[j] - value for j, value in part.inputs.items()]
         column = ca.substitute(ca.vertcat(ca.SX(0, 1), *relations, *part.pending), constant, system.u)
-        u = self.point.u if self.compensation is None else (fmpq(0),) * system.m
-        (values,) = self.plant.at(Point(self.point.x, u), column)
+        (values,) = self.plant.at(Point(self.point.x, self._held_input), column)
         return any(sign(row[0]) in (1, -1) for row in values)
 
     def _theta_strict(self) -> bool:
@@ -216,8 +220,7 @@ class Situation:
 
     def at_target(self, *functions: ca.SX) -> InvariantSet | None:
         """The invariant set with u = u* and ``functions`` at their values of x*; None when those are not exact."""
-        inputs: list[Real] = [fmpq(0)] * len(self.point.u) if self.compensation is not None else list(self.point.u)
-        start, fixed = self.flow, self._numbers(inputs)
+        start, fixed = self.flow, self._numbers(self._held_input)
         values = [row[0] for function in functions for row in self.plant.at(self.point, function)[0]]
         known = self._numbers(values)
         if start is None or fixed is None or known is None:
