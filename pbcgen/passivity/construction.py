@@ -16,7 +16,7 @@ import casadi as ca
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.affine import AffineSystem, Mechanics
 from pbcgen.models.mechanical import energy_slope
-from pbcgen.symbolic.field import evaluate
+from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, is_finite, precision, rational, reals, sign
 from pbcgen.symbolic.tape import Operation, Tape
 

@@ -19,7 +19,8 @@ from pbcgen.passivity.equation import certainly_varies, is_entire, linear_in, ne
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.elimination import definite, semidefinite
 from pbcgen.proof.nonnegative import nonnegative, positive
-from pbcgen.symbolic.field import Quotient, evaluate
+from pbcgen.symbolic.exact_walk import evaluate
+from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.tape import Tape
 
 #: Slopes are compared with these.

@@ -18,7 +18,8 @@ from pbcgen.passivity.construction import same_formulas
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.elimination import definite
 from pbcgen.proof.extrema import term_bounds
-from pbcgen.symbolic.field import Field, Quotient, evaluate
+from pbcgen.symbolic.exact_walk import evaluate
+from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.tape import OPERATIONS, Matrix, Tape
 
 #: CasADi's operation codes by the tape's names.

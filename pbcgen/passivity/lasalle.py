@@ -31,7 +31,8 @@ from pbcgen.passivity.equation import (
 )
 from pbcgen.passivity.flow import Flow
 from pbcgen.proof.nonnegative import positive
-from pbcgen.symbolic.field import Field, Quotient, evaluate
+from pbcgen.symbolic.exact_walk import evaluate
+from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Row
 from pbcgen.symbolic.tape import Tape
 

@@ -14,8 +14,9 @@ from pbcgen.models.affine import AffineSystem
 from pbcgen.models.numbers import is_short
 from pbcgen.passivity.construction import gradient_by_construction
 from pbcgen.proof.nonnegative import positive
-from pbcgen.symbolic.field import Field, Quotient, evaluate
-from pbcgen.symbolic.moduli import continued
+from pbcgen.symbolic.continued import continued
+from pbcgen.symbolic.exact_walk import evaluate
+from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, reals
 from pbcgen.symbolic.tape import Matrix, Tape
 
@@ -140,7 +141,7 @@ class Plant:
         """Whether f and g are Lipschitz functions and S is differentiable, as far as moduli go.
 
         What the user wrote must be free of sign(a); f, g and grad S, where they are derivatives of that, must be free
-        of it when they are simplified, see :mod:`pbcgen.symbolic.moduli`.
+        of it when they are simplified, see :mod:`pbcgen.symbolic.continued`.
         """
         system, mechanics = self.system, self.system.mechanical
         parts = [system.f, system.g, system.S]

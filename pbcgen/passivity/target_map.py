@@ -21,7 +21,8 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Condition, Design
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.target_branch import LARGEST, Branch, find_branch
-from pbcgen.symbolic.field import Field, Quotient, evaluate
+from pbcgen.symbolic.exact_walk import evaluate
+from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.real import REAL, ZERO, Real, approximate, reals, undefined
 from pbcgen.symbolic.tape import Tape
 

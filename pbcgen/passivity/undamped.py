@@ -32,7 +32,8 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.equation import affine, essentials
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.proof.definite import quadratic_form
-from pbcgen.symbolic.field import Quotient, evaluate
+from pbcgen.symbolic.exact_walk import evaluate
+from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT
 from pbcgen.symbolic.real import BITS, Real, approximate, fraction, precision, sign
 from pbcgen.symbolic.tape import Tape

@@ -30,7 +30,8 @@ from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import positive_definite
 from pbcgen.proof.elimination import semidefinite
 from pbcgen.proof.nonnegative import nonnegative, positive
-from pbcgen.symbolic.field import Field, Quotient, evaluate
+from pbcgen.symbolic.exact_walk import evaluate
+from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.real import REAL, ZERO, Real, enclose, fraction, is_finite, lower, precision, rational, sign
 from pbcgen.symbolic.tape import Tape
 

@@ -16,7 +16,7 @@ v + |v| does; nothing is divided by these.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import gcd
@@ -27,7 +27,6 @@ from flint import fmpq, fmpq_mpoly, fmpq_mpoly_ctx
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.symbolic.moduli import vanishes_on_region
 from pbcgen.symbolic.real import fraction, rational
-from pbcgen.symbolic.tape import Matrix, Tape
 from pbcgen.symbolic.to_sx import as_expression
 
 #: Multiples of an angle or exponent beyond this are kept as separate atoms instead of being expanded.
@@ -35,17 +34,13 @@ _LARGEST_MULTIPLE = 24
 
 #: The work of rewriting a term by a relation between atoms, in terms that are multiplied.
 _TERMS_PER_REDUCTION = 8
-#: Terms that one evaluation of a tape may multiply, and as many more for each of its instructions. What is made of
-#: its results may take as many again.
-_BUDGET = 200_000
-_BUDGET_PER_INSTRUCTION = 100
 
 
 class TooLarge(UnsupportedOperation):
     """The exact functions grow beyond the budget: nothing is known of the result."""
 
 
-class _Restart(Exception):
+class Restart(Exception):
     """The field was set up too small; walk again with the corrected settings."""
 
 
@@ -240,7 +235,7 @@ class Field:
             position = self.symbol_count + len(self._atom_of)
             if len(self._atom_of) >= self.pool:
                 self.pool = 2 * self.pool + 4
-                raise _Restart
+                raise Restart
             self._atom_of[key] = position
             self.atoms[position] = Atom(kind, argument)
         return self._generators[self._atom_of[key]]
@@ -263,7 +258,7 @@ class Field:
                     gcd(unit.numerator * value.denominator, value.numerator * unit.denominator),
                     unit.denominator * value.denominator,
                 )
-                raise _Restart
+                raise Restart
             multiple = int(value / unit)
             if abs(multiple) > _LARGEST_MULTIPLE:
                 unit, multiple = abs(value), 1 if value > 0 else -1
@@ -474,48 +469,3 @@ class Field:
             alone: whether the result may be put in for a variable, and so become the argument of a function.
         """
         return as_expression(self, element, symbols, number, alone)
-
-
-def evaluate(
-    tape: Tape, names: Sequence[str], values: Mapping[str, Fraction] | None = None, signs: bool = False
-) -> tuple[Field, list[Matrix[Quotient]]]:
-    """Walk a tape over exact rational functions.
-
-    Args:
-        tape: the outputs wanted; its inputs, taken together, are the symbols ``names``.
-        names: one name for each input of the tape, in order.
-        values: symbols to replace by exact numbers.
-        signs: whether sign(a) is read as |a| / a; the caller answers for the results being continuous.
-
-    Returns:
-        The field and the outputs as matrices of its elements.
-
-    Raises:
-        UnsupportedOperation: for operations that are not algebraic or analytic (if_else, fmin, ...).
-        TooLarge: when the functions grow beyond a budget of terms, which is an UnsupportedOperation too.
-        ZeroDivisionError: for a division by the zero function.
-    """
-    values = values or {}
-    pool, scales, spent = 8, {}, 0  # type: int, dict[tuple[str, str], Fraction], int
-    allowance = _BUDGET + _BUDGET_PER_INSTRUCTION * len(tape.instructions)
-    for _ in range(200):
-        field = Field(names, pool, scales, signs)
-        field.spent, field.limit = spent, allowance
-        symbols = [field.const(values[n]) if n in values else field.symbol(k) for k, n in enumerate(names)]
-        try:
-            outputs = tape.walk(field, _split(symbols, tape.input_sizes))
-        except _Restart:
-            pool, scales, spent = field.pool, field.scales, field.spent
-            continue
-        field.spent = 0
-        return field, outputs
-    raise UnsupportedOperation("the model's transcendental terms have too many incommensurable arguments")
-
-
-def _split(values: Sequence[Quotient], sizes: Sequence[int]) -> list[list[Quotient]]:
-    """Cut a flat list into pieces of the given sizes."""
-    pieces, start = [], 0
-    for size in sizes:
-        pieces.append(list(values[start : start + size]))
-        start += size
-    return pieces

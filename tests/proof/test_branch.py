@@ -11,7 +11,7 @@ import pytest
 
 from pbcgen.proof.branch import Budget, EmptyBoxError, Formula, OnBox, nonnegative_on_box, positive_on_box
 from pbcgen.proof.claim import Status
-from pbcgen.symbolic.field import evaluate
+from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.tape import Tape
 
 X = ca.SX.sym("x", 4)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from pbcgen.proof.elimination import definite, semidefinite
 from pbcgen.proof.nonnegative import nonnegative, positive
-from pbcgen.symbolic.field import evaluate
+from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.real import BITS, REAL, precision, rational, sign
 from pbcgen.symbolic.tape import Tape
 

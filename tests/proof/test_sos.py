@@ -11,7 +11,7 @@ import pytest
 from flint import fmpq
 
 from pbcgen.proof import sos
-from pbcgen.symbolic.field import evaluate
+from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.tape import Tape
 
 pytest.importorskip("clarabel")

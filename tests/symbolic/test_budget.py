@@ -6,7 +6,8 @@ import casadi as ca
 import pytest
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.symbolic.field import TooLarge, evaluate
+from pbcgen.symbolic.exact_walk import evaluate
+from pbcgen.symbolic.field import TooLarge
 from pbcgen.symbolic.tape import Tape
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pbcgen.symbolic.display import formula
-from pbcgen.symbolic.field import evaluate
+from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.tape import Tape
 
 X, A, B = ca.SX.sym("x"), ca.SX.sym("a"), ca.SX.sym("b")

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.symbolic.field import evaluate
+from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.real import BITS, REAL, approximate, is_finite, precision, rational
 from pbcgen.symbolic.tape import Tape
 

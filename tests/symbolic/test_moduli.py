@@ -6,8 +6,8 @@ import casadi as ca
 import pytest
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.symbolic.field import evaluate
-from pbcgen.symbolic.moduli import continued
+from pbcgen.symbolic.continued import continued
+from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.tape import Tape
 
 V, W = ca.SX.sym("v"), ca.SX.sym("w")
