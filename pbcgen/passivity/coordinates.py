@@ -22,6 +22,7 @@ from pbcgen.proof.nonnegative import nonnegative, positive
 from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.tape import Tape
+from pbcgen.symbolic.to_sx import to_sx
 
 #: Slopes are compared with these.
 _LEAST_SLOPES = (Fraction(1, 100), Fraction(1, 10**5), Fraction(1, 10**9))
@@ -109,7 +110,7 @@ class _Chain:
     def to_sx(self, element: Quotient) -> ca.SX:
         """A function as an expression."""
         symbols = [*self.variables, *self.held, *ca.vertsplit(self.plant.parameter_symbols)]
-        return element.field.to_sx(element, symbols, self.plant.number)
+        return to_sx(element, symbols, self.plant.number)
 
     def run(self, judge: _Judge) -> bool:
         """Whether all variables are found."""

@@ -35,6 +35,7 @@ from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Row
 from pbcgen.symbolic.tape import Tape
+from pbcgen.symbolic.to_sx import to_sx
 
 #: Lie derivatives of an equation are followed up to this many times the number of states.
 _ROUNDS = 3
@@ -126,7 +127,7 @@ class _Elimination:
     def to_sx(self, element: Quotient) -> ca.SX:
         """An exact function as an expression, which may be put in for a variable."""
         plant = self.flow.plant
-        return element.field.to_sx(element, [*self.symbols, *plant.parameter_list], plant.number, alone=True)
+        return to_sx(element, [*self.symbols, *plant.parameter_list], plant.number, alone=True)
 
     # --- one equation ---------------------------------------------------------------------------------------------
 

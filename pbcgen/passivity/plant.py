@@ -19,6 +19,7 @@ from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, reals
 from pbcgen.symbolic.tape import Matrix, Tape
+from pbcgen.symbolic.to_sx import to_sx
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ class Plant:
 
     def expression(self, element: Quotient, alone: bool = False) -> ca.SX:
         """An exact function of this plant's symbols as an SX expression; ``alone``: to be put in for a variable."""
-        return element.field.to_sx(element, [*self._fixed[0], *self.parameter_list], self.number, alone)
+        return to_sx(element, [*self._fixed[0], *self.parameter_list], self.number, alone)
 
     @cached_property
     def is_continuous(self) -> bool:

@@ -25,6 +25,7 @@ from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.real import REAL, ZERO, Real, approximate, reals, undefined
 from pbcgen.symbolic.tape import Tape
+from pbcgen.symbolic.to_sx import to_sx
 
 #: Functions that take every value of their range once, and their inverses.
 _INVERSES: Final[Mapping[str, Callable[[ca.SX], ca.SX]]] = {
@@ -247,7 +248,7 @@ class _Elimination:
             return False
         _, row, k, solution = best
         del self.left[row]
-        self._put(self.names[k], self._expression(field, solution))
+        self._put(self.names[k], self._expression(solution))
         return True
 
     def _invert(self, field: Field, values: Sequence[Quotient]) -> bool:
@@ -261,14 +262,14 @@ class _Elimination:
             if split is None or atom.kind not in _INVERSES:
                 continue
             slope, rest = split
-            inverted = _INVERSES[atom.kind](self._expression(field, -rest / slope))
-            self.left[row] = (self.left[row][0], self._expression(field, atom.argument) - inverted)
+            inverted = _INVERSES[atom.kind](self._expression(-rest / slope))
+            self.left[row] = (self.left[row][0], self._expression(atom.argument) - inverted)
             return True
         return False
 
-    def _expression(self, field: Field, element: Quotient) -> ca.SX:
+    def _expression(self, element: Quotient) -> ca.SX:
         known = [s for column in self.plant.symbols for s in ca.vertsplit(column) if column.numel()]
-        return field.to_sx(element, [*known, *ca.vertsplit(self.symbols)], self.plant.number, alone=True)
+        return to_sx(element, [*known, *ca.vertsplit(self.symbols)], self.plant.number, alone=True)
 
     def _put(self, name: str, solution: ca.SX) -> None:
         symbol = self.unknowns[name]

@@ -15,6 +15,7 @@ import casadi as ca
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.tape import Tape
+from pbcgen.symbolic.to_sx import to_sx
 
 
 def continued(
@@ -33,18 +34,19 @@ def continued(
         values: exact values of some of them.
         number: makes an expression of an exact number.
     """
-    result = []
     symbols = [s for column in inputs if column.numel() for s in ca.vertsplit(ca.SX(column))]
-    for output in map(ca.SX, outputs):
+
+    def cancelled(output: ca.SX) -> ca.SX:
         tape = Tape.of(inputs, [output])
-        found = output
-        if tape.uses("sign"):
-            try:
-                field, (matrix,) = evaluate(tape, names, values, signs=True)
-                found = ca.SX(*output.shape)
-                for (i, j), entry in matrix.entries.items():
-                    found[i, j] = field.to_sx(entry, symbols, number)
-            except (UnsupportedOperation, ZeroDivisionError):
-                found = output
-        result.append(found)
-    return result
+        if not tape.uses("sign"):
+            return output
+        try:
+            _, (matrix,) = evaluate(tape, names, values, signs=True)
+            found = ca.SX(*output.shape)
+            for (i, j), entry in matrix.entries.items():
+                found[i, j] = to_sx(entry, symbols, number)
+        except (UnsupportedOperation, ZeroDivisionError):
+            return output
+        return found
+
+    return [cancelled(ca.SX(output)) for output in outputs]

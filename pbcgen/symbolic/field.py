@@ -16,24 +16,24 @@ v + |v| does; nothing is divided by these.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import gcd
 
-import casadi as ca
 from flint import fmpq, fmpq_mpoly, fmpq_mpoly_ctx
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.symbolic.moduli import vanishes_on_region
 from pbcgen.symbolic.real import fraction, rational
-from pbcgen.symbolic.to_sx import as_expression
 
 #: Multiples of an angle or exponent beyond this are kept as separate atoms instead of being expanded.
 _LARGEST_MULTIPLE = 24
 
 #: The work of rewriting a term by a relation between atoms, in terms that are multiplied.
 _TERMS_PER_REDUCTION = 8
+
+#: Functions with as many moduli are taken to vanish on a region.
+_MOST_MODULI = 7
 
 
 class TooLarge(UnsupportedOperation):
@@ -192,13 +192,30 @@ class Field:
             return Quotient(self, numerator, self._one)
         if denominator.is_constant():
             return Quotient(self, numerator / denominator.leading_coefficient(), self._one)
-        if self.moduli and vanishes_on_region(self, denominator):
+        if self.moduli and self._vanishes_on_region(denominator):
             raise UnsupportedOperation("the model divides by a function that vanishes on a region")
         common = numerator.gcd(denominator)
         if not common.is_constant():
             numerator, denominator = numerator / common, denominator / common
         scale = denominator.leading_coefficient()
         return Quotient(self, numerator / scale, denominator / scale)
+
+    def _vanishes_on_region(self, polynomial: fmpq_mpoly) -> bool:
+        """Whether a polynomial, as v + |v| does, may vanish on a region.
+
+        It does where its product with itself for the other sign of a modulus does, which is free of that modulus; a
+        modulus inside of another one comes before it.
+        """
+        norm = polynomial
+        for _ in range(_MOST_MODULI):
+            degrees = norm.degrees()
+            inside = [k for k in self.moduli if degrees[k]]
+            if not inside:
+                return bool(norm.is_zero())
+            last = max(inside)
+            flipped = [-g if k == last else g for k, g in enumerate(self._generators)]
+            norm = self.reduced(norm * norm.compose(*flipped, ctx=self.context))
+        return True
 
     def reduced(self, polynomial: fmpq_mpoly) -> fmpq_mpoly:
         """The polynomial with the relations between atoms applied."""
@@ -448,24 +465,3 @@ class Field:
 
     def erf(self, a: Quotient) -> Quotient:
         return self._odd("erf", a)
-
-    # --- back to CasADi -----------------------------------------------------------------------------------
-
-    def to_sx(
-        self,
-        element: Quotient,
-        symbols: Sequence[ca.SX],
-        number: Callable[[Fraction, bool], ca.SX] | None = None,
-        alone: bool = False,
-    ) -> ca.SX:
-        """The element as an SX expression of ``symbols``, which stand for the field's symbols in order.
-
-        Args:
-            element: of this field.
-            symbols: at least one for each symbol of the field.
-            number: makes an SX of a coefficient, or (True) of a number that a function is taken of, which CasADi must
-                not compute. By default a coefficient must be a decimal of double length, because CasADi would
-                round another one, and functions of numbers must not occur; else UnsupportedOperation is raised.
-            alone: whether the result may be put in for a variable, and so become the argument of a function.
-        """
-        return as_expression(self, element, symbols, number, alone)

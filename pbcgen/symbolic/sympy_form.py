@@ -26,67 +26,16 @@ from pbcgen.symbolic.tape import Matrix, Tape
 #: A formula of more operations than this is not worth reading.
 LARGEST = 160
 
-_GREEK = frozenset(
-    [
-        "alpha",
-        "beta",
-        "gamma",
-        "delta",
-        "epsilon",
-        "zeta",
-        "eta",
-        "theta",
-        "iota",
-        "kappa",
-        "lambda",
-        "mu",
-        "nu",
-        "xi",
-        "pi",
-        "rho",
-        "sigma",
-        "tau",
-        "phi",
-        "chi",
-        "psi",
-        "omega",
-        "Gamma",
-        "Delta",
-        "Theta",
-        "Lambda",
-        "Xi",
-        "Pi",
-        "Sigma",
-        "Phi",
-        "Psi",
-        "Omega",
-        "Upsilon",
-    ]
-)
+_GREEK_NAMES = """
+    alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau phi chi psi omega
+    Gamma Delta Theta Lambda Xi Pi Sigma Phi Psi Omega Upsilon
+"""
+_GREEK = frozenset(_GREEK_NAMES.split())
 
 #: Operations of the tape that SymPy knows by the same name.
-_SAME_NAME = (
-    "exp",
-    "log",
-    "sqrt",
-    "sin",
-    "cos",
-    "tan",
-    "asin",
-    "acos",
-    "atan",
-    "sinh",
-    "cosh",
-    "tanh",
-    "asinh",
-    "acosh",
-    "atanh",
-    "atan2",
-    "erf",
-    "erfinv",
-    "floor",
-    "sign",
-)
+_SAME_NAME = """
+    exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh atan2 erf erfinv floor sign
+"""
 
 
 @dataclass(frozen=True)
@@ -208,7 +157,7 @@ _OPERATIONS: Mapping[str, Callable[..., Any]] = {
     "and_": sympy.And,
     "or_": sympy.Or,
     "if_else_zero": lambda c, a: sympy.Piecewise((a, c), (0, True)),
-    **{name: getattr(sympy, name) for name in _SAME_NAME},
+    **{name: getattr(sympy, name) for name in _SAME_NAME.split()},
 }
 
 

@@ -4,29 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import casadi as ca
 from flint import fmpq_mpoly
 
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import fraction
 from pbcgen.symbolic.tape import exact_decimal
 from pbcgen.symbolic.terms import terms
 
-if TYPE_CHECKING:
-    from pbcgen.symbolic.field import Field, Quotient
 
-
-def as_expression(
-    field: Field,
-    element: Quotient,
+def to_sx(
+    function: Quotient,
     symbols: Sequence[ca.SX],
-    number: Callable[[Fraction, bool], ca.SX] | None,
-    alone: bool,
+    number: Callable[[Fraction, bool], ca.SX] | None = None,
+    alone: bool = False,
 ) -> ca.SX:
-    """See :meth:`Field.to_sx`."""
+    """An exact function as an SX expression of ``symbols``, which stand for the symbols of its field in order.
+
+    Args:
+        function: element of a field.
+        symbols: at least one for each symbol of the field.
+        number: makes an SX of a coefficient, or (True) of a number that a function is taken of, which CasADi must not
+            compute. By default a coefficient must be a decimal of double length, because CasADi would round another
+            one, and functions of numbers must not occur; else UnsupportedOperation is raised.
+        alone: whether the result may be put in for a variable, and so become the argument of a function.
+    """
     make = number or _decimal_number
+    field = function.field
     cache: dict[int, ca.SX] = {}
 
     def generator(k: int) -> ca.SX:
@@ -58,7 +64,7 @@ def as_expression(
         top = polynomial(q.numerator)
         return top if q.is_polynomial() else top / polynomial(q.denominator)
 
-    return expression(element, alone)
+    return expression(function, alone)
 
 
 def _decimal_number(value: Fraction, argument: bool) -> ca.SX:
