@@ -16,8 +16,8 @@ from typing import Final
 
 from flint import arb, arb_series, ctx, fmpq, fmpq_poly
 
+from pbcgen.law.arithmetic import Precision
 from pbcgen.law.hyperbolic import DENOMINATOR, NUMERATOR
-from pbcgen.law.law import Precision
 from pbcgen.law.rounding import nearest
 
 ORDER: Final = 24

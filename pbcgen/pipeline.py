@@ -22,8 +22,8 @@ from pbcgen.control.derive import Derivation, derive
 from pbcgen.control.stability import LYAPUNOV
 from pbcgen.emit import Extras, Package, Provenance, render
 from pbcgen.errors import EmitError, ModelError, NotProved
+from pbcgen.law.arithmetic import Tanh, default_tanh
 from pbcgen.law.closed_loop import ClosedLoop
-from pbcgen.law.hyperbolic import default_tanh
 from pbcgen.law.law import ControlLaw
 from pbcgen.law.solves import with_tanh
 from pbcgen.models.design import Design
@@ -34,7 +34,6 @@ from pbcgen.proof.claim import ELSEWHERE, EMISSION_CLAIMS, Claim, Status
 if TYPE_CHECKING:
     from pbcgen.control.attraction import Region
     from pbcgen.emit.figures import Figures
-    from pbcgen.law.hyperbolic import Tanh
     from pbcgen.run.simulate import Trajectory
     from pbcgen.run.validate import Validation
 

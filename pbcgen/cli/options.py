@@ -5,17 +5,15 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pbcgen.errors import ModelError
+from pbcgen.law.arithmetic import Precision, Tanh
 
 if TYPE_CHECKING:
     from pbcgen.models.design import Design
-
-Precision = Literal["float", "double"]
-Tanh = Literal["fast", "libm"]
 
 Model = Annotated[
     str,

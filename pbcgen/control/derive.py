@@ -16,10 +16,11 @@ from pbcgen.control.saturation import saturation
 from pbcgen.control.situation import Situation
 from pbcgen.control.stability import StabilityVerdicts, stability
 from pbcgen.errors import ModelError, UnsupportedOperation
+from pbcgen.law.arithmetic import Precision, Tanh
 from pbcgen.law.closed_loop import ClosedLoop, closed_loop
-from pbcgen.law.graph import Interface, LawGraph, Needs, build, control_law, needs
-from pbcgen.law.hyperbolic import Tanh
-from pbcgen.law.law import ControlLaw, Precision, Signal
+from pbcgen.law.discretisation import Interface, control_law
+from pbcgen.law.graph import LawGraph, Needs, build, needs
+from pbcgen.law.law import ControlLaw, Signal
 from pbcgen.law.measure import Measurement
 from pbcgen.law.settings import Settings
 from pbcgen.models.design import Design

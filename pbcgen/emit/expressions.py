@@ -23,7 +23,7 @@ from pbcgen.law.rounding import nearest
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from pbcgen.law.law import Precision
+    from pbcgen.law.arithmetic import Precision
 
 #: A longer expression is given a name.
 INLINE_LENGTH: Final = 56

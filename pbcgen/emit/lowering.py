@@ -26,11 +26,11 @@ from pbcgen.emit.program import (
 from pbcgen.emit.selftest import self_test
 from pbcgen.emit.solves import Coefficients, SolverFunctions, calls_of, constant_mus, t_names_of
 from pbcgen.errors import EmitError
+from pbcgen.law.arithmetic import Precision
 from pbcgen.law.hyperbolic import COSH, DENOMINATOR, DOUBLINGS, FAST_ERROR, FAST_ULP, LIBM_ULP, NUMERATOR
 from pbcgen.law.law import (
     ControlLaw,
     Fallback,
-    Precision,
     ScalarSolve,
     Setter,
     Signal,

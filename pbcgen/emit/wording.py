@@ -8,7 +8,8 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
 from pbcgen.emit.identifiers import spell
-from pbcgen.law.law import ControlLaw, Fallback, Precision, Signal
+from pbcgen.law.arithmetic import Precision
+from pbcgen.law.law import ControlLaw, Fallback, Signal
 from pbcgen.law.rounding import STATE_LIMIT
 from pbcgen.law.step import StepStatus
 from pbcgen.proof.claim import CLAIMS

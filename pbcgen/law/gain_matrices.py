@@ -31,9 +31,10 @@ class Implicit:
         """The step with sample period h. Gains that are symbols stand in diagonal matrices, and K beside them too."""
         exact_R, exact_K = _numbers(R), _numbers(K)
         if exact_R is not None and exact_K is not None:
-            growth = _identity_plus(_scaled(_product(exact_R, exact_K), h))
-            decay = exact_inverse(growth)
-            return Implicit(growth, decay, _scaled(_product(decay, exact_R), h))
+            identity = _flint(diagonal([Fraction(1)] * len(R)))
+            growth = identity + _flint(exact_R) * _flint(exact_K) * rational(h)
+            decay = growth.inv()
+            return Implicit(_fractions(growth), _fractions(decay), _fractions(decay * _flint(exact_R) * rational(h)))
         entries = range(len(R))
         sums = [1 + times(h, R[i][i], K[i][i]) for i in entries]
         decays = [1 / v for v in sums]
@@ -43,8 +44,7 @@ class Implicit:
 
 def exact_inverse(rows: Matrix) -> Matrix:
     """The inverse of a regular matrix of fractions."""
-    inverted = fmpq_mat([[rational(v) for v in row] for row in rows]).inv().tolist()
-    return tuple(tuple(fraction(fmpq(v)) for v in row) for row in inverted)
+    return _fractions(_flint(rows).inv())
 
 
 def _numbers(rows: GainMatrix) -> Matrix | None:
@@ -53,16 +53,9 @@ def _numbers(rows: GainMatrix) -> Matrix | None:
     return found if all(len(a) == len(b) for a, b in zip(found, rows, strict=True)) else None
 
 
-def _product(a: Matrix, b: Matrix) -> Matrix:
-    columns = list(zip(*b, strict=True))
-    return tuple(
-        tuple(sum((x * y for x, y in zip(row, col, strict=True)), Fraction(0)) for col in columns) for row in a
-    )
+def _flint(rows: Matrix) -> fmpq_mat:
+    return fmpq_mat([[rational(v) for v in row] for row in rows])
 
 
-def _scaled(a: Matrix, factor: Fraction) -> Matrix:
-    return tuple(tuple(v * factor for v in row) for row in a)
-
-
-def _identity_plus(a: Matrix) -> Matrix:
-    return tuple(tuple(v + (i == j) for j, v in enumerate(row)) for i, row in enumerate(a))
+def _fractions(matrix: fmpq_mat) -> Matrix:
+    return tuple(tuple(fraction(fmpq(v)) for v in row) for row in matrix.tolist())

@@ -20,7 +20,7 @@ included, was least. ``benchmarks/hyperbolic_bound.c`` tries all floats.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -29,9 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbcgen.law.law import Precision
-
-Tanh = Literal["fast", "libm"]
+    from pbcgen.law.arithmetic import Precision
 
 #: Coefficients of P and Q from the constant up; that of the highest power of Q is 1 and left out.
 NUMERATOR: Final[dict[Precision, tuple[float, ...]]] = {
@@ -68,11 +66,6 @@ COSH: Final = tuple(
     coefficient * 0.25 ** (DOUBLINGS * (k + 1))
     for k, coefficient in enumerate((1.0, 0.083334082, 0.0027754192, 5.169666e-05))
 )
-
-
-def default_tanh(precision: Precision) -> Tanh:
-    """What a law uses unless told otherwise."""
-    return "fast" if precision == "float" else "libm"
 
 
 def fast_tanh(x: NDArray[Any]) -> NDArray[Any]:

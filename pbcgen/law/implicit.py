@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from math import inf, nextafter
-from typing import Literal
 
 from flint import arb
 
+from pbcgen.law.arithmetic import Precision
 from pbcgen.symbolic.real import precision, rational
 
 _EPSILON = {"float": Fraction(1, 2**24), "double": Fraction(1, 2**53)}
@@ -32,7 +32,7 @@ class IterationBound:
 
 
 @lru_cache(maxsize=256)
-def scalar_iterations(mu: Fraction, working: Literal["float", "double"]) -> IterationBound:
+def scalar_iterations(mu: Fraction, working: Precision) -> IterationBound:
     """The iterations after which the error is below the unit roundoff of the precision, for every r.
 
     Raises ValueError if ``mu`` is negative.

@@ -16,14 +16,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from fractions import Fraction
-from typing import TYPE_CHECKING, Literal
 
+from pbcgen.law.arithmetic import Precision, Tanh
 from pbcgen.symbolic.tape import Tape
-
-if TYPE_CHECKING:
-    from pbcgen.law.hyperbolic import Tanh
-
-Precision = Literal["float", "double"]
 
 
 @dataclass(frozen=True)

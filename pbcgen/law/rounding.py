@@ -14,7 +14,7 @@ import numpy as np
 from pbcgen.errors import EmitError
 
 if TYPE_CHECKING:
-    from pbcgen.law.law import Precision
+    from pbcgen.law.arithmetic import Precision
 
 #: The NumPy type of each precision.
 DTYPES: Final[dict[Precision, type[np.float32] | type[np.float64]]] = {"float": np.float32, "double": np.float64}

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import casadi as ca
 
 from pbcgen.models.design import Design
-from pbcgen.models.gains import Matrix, Vector
+from pbcgen.models.gains import Matrix, Vector, diagonal
 from pbcgen.models.laws import Law, gains
 from pbcgen.models.ranges import Range
 from pbcgen.passivity.target_map import TargetMap
@@ -116,8 +116,7 @@ class Settings:
         """A gain matrix for use in formulas; one that may change is diagonal."""
         if name not in self._gains:
             return rows
-        entries = self.gain(name, tuple(row[i] for i, row in enumerate(rows)))
-        return tuple(tuple(v if i == j else Fraction(0) for j in range(len(rows))) for i, v in enumerate(entries))
+        return diagonal(self.gain(name, tuple(row[i] for i, row in enumerate(rows))))
 
     def star(self, signal: ca.SX, value: Real, name: str, unit: str = "") -> ca.SX | None:
         """The symbol of a signal e(x, u) at a target that may move, or None if e* stays what it is."""

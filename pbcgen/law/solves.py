@@ -7,13 +7,13 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Final
 
+from pbcgen.law.arithmetic import Precision, Tanh
 from pbcgen.law.fitted import fitted_solve
 from pbcgen.law.implicit import scalar_iterations
-from pbcgen.law.law import ControlLaw, Precision, ScalarSolve, VectorSolve
+from pbcgen.law.law import ControlLaw, ScalarSolve, VectorSolve
 from pbcgen.law.rounding import nearest
 
 if TYPE_CHECKING:
-    from pbcgen.law.hyperbolic import Tanh
     from pbcgen.symbolic.tape import Tape
 
 #: The block solve stops here at the latest; see the description of the step for its globalisation.

@@ -47,7 +47,7 @@ pivoting (the first largest pivot).
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
 from enum import IntEnum
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -55,15 +55,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbcgen.law.arithmetic import Precision
 from pbcgen.law.fitted import fitted
-from pbcgen.law.hyperbolic import fast_cosh, fast_tanh
-from pbcgen.law.law import ControlLaw, Fallback, Fit, Precision, ScalarSolve, SetterInput, VectorSolve
+from pbcgen.law.hyperbolic import fast_tanh
+from pbcgen.law.law import ControlLaw, Fallback, Fit, ScalarSolve, SetterInput, VectorSolve
+from pbcgen.law.numpy_algebra import NumpyAlgebra
 from pbcgen.law.rounding import DTYPES, STATE_LIMIT, inward, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from pbcgen.law.hyperbolic import Tanh
 
 Array = NDArray[Any]
 
@@ -78,6 +78,23 @@ class StepStatus(IntEnum):
     INVALID_INPUT = 4
     INVALID_ARGUMENT = 5
     INVALID_SETTING = 6
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The loop equations ``s + N tanh(s) = c`` of a batch of steps, solved.
+
+    Attributes:
+        c: (batch, ns). N: (batch, ns, ns). t: tanh(s), (batch, ns).
+        converged: (batch,) whether every block met its tolerance.
+        in_range: (batch,) whether c and N passed the checks of step 3.
+    """
+
+    c: Array
+    N: Array
+    t: Array
+    converged: NDArray[np.bool_]
+    in_range: NDArray[np.bool_]
 
 
 class ReferenceStep:
@@ -150,12 +167,19 @@ class ReferenceStep:
 
     def _evaluate(self, m: Array, xi: Array) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
         """Prepare, solve and update: (next xi, u, converged, in range)."""
-        batch = len(m)
-        c, N = self._walk(self.law.prepare, batch, m, xi)
+        loop = self.loop(m, xi)
+        next_xi, u = self._walk(self.law.update, len(m), m, xi, loop.t)
+        moved = next_xi[:, : len(self.law.states) - len(self.law.kept), 0]
+        in_range = loop.in_range & (_sum_of_squares(np.hstack([moved, u[:, :, 0]])) <= self._limit)
+        return next_xi[:, :, 0], u[:, :, 0], loop.converged, in_range
+
+    def loop(self, m: Array, xi: Array) -> Loop:
+        """Prepare and solve, for arrays (batch, nm) and (batch, nxi) in the precision of the law."""
+        c, N = self._walk(self.law.prepare, len(m), m, xi)
         checked = [i for solve in self.law.solves for i in channels_to_check(solve)]
         in_range = np.all(np.isfinite(c[:, checked, 0]), axis=1) & np.all(np.isfinite(N), axis=(1, 2))
-        t = np.zeros((batch, self.law.channels), self.dtype)
-        converged = np.ones(batch, np.bool_)
+        t = np.zeros((len(m), self.law.channels), self.dtype)
+        converged = np.ones(len(m), np.bool_)
         for solve in self.law.solves:
             if isinstance(solve, ScalarSolve):
                 mu = N[:, solve.index, solve.index]
@@ -165,10 +189,7 @@ class ReferenceStep:
                 rows = np.array(solve.indices)
                 t[:, rows], ok = solve_block(N[:, rows[:, None], rows], c[:, rows, 0], solve, self._tanh)
                 converged &= ok
-        next_xi, u = self._walk(self.law.update, batch, m, xi, t)
-        moved = next_xi[:, : len(self.law.states) - len(self.law.kept), 0]
-        in_range &= _sum_of_squares(np.hstack([moved, u[:, :, 0]])) <= self._limit
-        return next_xi[:, :, 0], u[:, :, 0], converged, in_range
+        return Loop(c[:, :, 0], N, t, converged, in_range)
 
     def set(self, group: str, xi: Array, values: Array) -> tuple[Array, StepStatus]:
         """The state (nxi,) after the caller has set a target or gains, and the status, as ``<p>_set_<group>``."""
@@ -382,108 +403,3 @@ def _precision_of(array: Array) -> Precision:
 def _raise_to(status: NDArray[np.int32], where: NDArray[np.bool_], level: StepStatus) -> None:
     """Raise the status to ``level`` where it is lower."""
     status[where] = np.maximum(status[where], level)
-
-
-class NumpyAlgebra:
-    """SX operations on NumPy values of one precision. Comparisons and logic give 0 and 1."""
-
-    def __init__(self, precision: Precision, tanh: Tanh = "libm") -> None:
-        self._precision = precision
-        self._dtype = DTYPES[precision]
-        self._operations = _OPERATIONS | _fast_operations(precision, tanh)
-
-    def const(self, value: Fraction) -> Any:
-        """The nearest number of the precision; EmitError if it overflows or vanishes."""
-        return nearest(value, self._precision)
-
-    def __getattr__(self, name: str) -> Callable[..., Any]:
-        """The operation ``name`` of the tape; AttributeError if there is none."""
-        function = self._operations.get(name)
-        if function is None:
-            raise AttributeError(name)
-        dtype = self._dtype
-
-        def apply(*operands: Any) -> Any:
-            return np.asarray(function(*operands)).astype(dtype, copy=False)
-
-        return apply
-
-
-def _fast_operations(precision: Precision, tanh: Tanh) -> dict[str, Callable[..., Any]]:
-    """The operations that do not come from the math library."""
-    if tanh == "libm":
-        return {}
-    return {"tanh": fast_tanh} | ({"cosh": fast_cosh} if precision == "float" else {})
-
-
-def _sign(x: Any) -> Any:
-    """-1, 0 or 1; NaN and the zeros as they are."""
-    return np.where(x < 0, -1, np.where(x > 0, 1, x))
-
-
-def _remainder(x: float, y: float) -> float:
-    """C's ``remainder``: x - n y with n the integer nearest to x/y; exact, NaN where it has no value."""
-    try:
-        return math.remainder(x, y)
-    except ValueError:
-        return math.nan
-
-
-def _special(name: str, x: Any) -> Any:
-    """A function of scipy.special, which takes as long to import as CasADi: few laws have one."""
-    from scipy import special
-
-    return getattr(special, name)(x)
-
-
-_OPERATIONS: dict[str, Callable[..., Any]] = {
-    "assign": lambda x: x,
-    "assign_first": lambda x, _: x,
-    "add": np.add,
-    "sub": np.subtract,
-    "mul": np.multiply,
-    "div": np.divide,
-    "neg": np.negative,
-    "inv": lambda x: 1 / x,
-    "sq": lambda x: x * x,
-    "twice": lambda x: x + x,
-    "exp": np.exp,
-    "expm1": np.expm1,
-    "log": np.log,
-    "log1p": np.log1p,
-    "pow": np.power,
-    "sqrt": np.sqrt,
-    "hypot": np.hypot,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "atan2": np.arctan2,
-    "sinh": np.sinh,
-    "cosh": np.cosh,
-    "tanh": np.tanh,
-    "asinh": np.arcsinh,
-    "acosh": np.arccosh,
-    "atanh": np.arctanh,
-    "erf": lambda x: _special("erf", x),
-    "erfinv": lambda x: _special("erfinv", x),
-    "lt": np.less,
-    "le": np.less_equal,
-    "eq": np.equal,
-    "ne": np.not_equal,
-    "not_": lambda x: x == 0,
-    "and_": np.logical_and,
-    "or_": np.logical_or,
-    "if_else_zero": lambda condition, x: np.where(condition != 0, x, 0),
-    "floor": np.floor,
-    "ceil": np.ceil,
-    "fmod": np.fmod,
-    "remainder": np.vectorize(_remainder, otypes=[np.float64]),
-    "fabs": np.abs,
-    "sign": _sign,
-    "copysign": np.copysign,
-    "fmin": np.fmin,
-    "fmax": np.fmax,
-}

@@ -7,6 +7,7 @@ from fractions import Fraction
 from typing import Any, TypeVar
 
 import numpy as np
+from flint import fmpq, fmpq_mat
 
 from pbcgen.errors import ModelError
 from pbcgen.models.exact import Number, decimal, exact
@@ -129,19 +130,8 @@ def sized_matrix(value: Matrix, m: int, what: str) -> Matrix:
 
 
 def rank(value: Matrix) -> int:
-    """The rank, by exact elimination."""
-    rows = [list(row) for row in value]
-    found = 0
-    for j in range(len(rows[0])):
-        pivot = next((i for i in range(found, len(rows)) if rows[i][j]), None)
-        if pivot is None:
-            continue
-        rows[found], rows[pivot] = rows[pivot], rows[found]
-        for i in range(found + 1, len(rows)):
-            factor = rows[i][j] / rows[found][j]
-            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[found], strict=True)]
-        found += 1
-    return found
+    """The rank, exactly."""
+    return int(fmpq_mat([[fmpq(v.numerator, v.denominator) for v in row] for row in value]).rank())
 
 
 def is_sequence(value: object) -> bool:

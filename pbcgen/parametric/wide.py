@@ -18,6 +18,7 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.law.compensation import compensated_force
 from pbcgen.models.affine import AffineSystem, Brayton, Mechanics, Structure
 from pbcgen.models.exact import decimal
+from pbcgen.models.gains import is_diagonal
 from pbcgen.models.laws import BaseLaw, NaturalDamping, PassiveOutput, base_law
 from pbcgen.models.parameters import Parameters
 from pbcgen.passivity.inertia import missing_for_definiteness
@@ -272,15 +273,11 @@ def _gain_values(base: BaseLaw | None) -> list[tuple[str, str, Fraction]]:
     found = [
         ("alpha beta", f"alpha{sub}{end}*beta{sub}{end}", a * b) for end, a, b in zip(ends, alpha, beta, strict=True)
     ]
-    if not isinstance(base, PassiveOutput) and _is_diagonal(base.K_c):
+    if not isinstance(base, PassiveOutput) and is_diagonal(base.K_c):
         found += [("K_c", f"K_c{end}", base.K_c[i][i]) for i, end in enumerate(ends)]
     if isinstance(base, NaturalDamping):
         found += [("K_l R_l", f"K_l{end}*R_l{end}", base.K_l[i][i] * base.R_l[i][i]) for i, end in enumerate(ends)]
     return found
-
-
-def _is_diagonal(matrix: Sequence[Sequence[Fraction]]) -> bool:
-    return all(value == 0 for i, row in enumerate(matrix) for j, value in enumerate(row) if i != j)
 
 
 def _fresh(name: str, taken: set[str]) -> str:

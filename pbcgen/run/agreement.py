@@ -25,9 +25,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from pbcgen.law.law import ControlLaw, ScalarSolve, VectorSolve
+from pbcgen.law.law import ControlLaw, VectorSolve
 from pbcgen.law.rounding import DTYPES
-from pbcgen.law.step import NumpyAlgebra, solve_block, solve_scalar, tanh_of
+from pbcgen.law.step import ReferenceStep
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -53,6 +53,7 @@ class Allowance:
 
     def __init__(self, law: ControlLaw) -> None:
         self._law = law
+        self._step = ReferenceStep(law)
         self._dtype = DTYPES[law.precision]
         self._epsilon = float(np.finfo(self._dtype).eps)
         m, xi, t = (
@@ -79,7 +80,8 @@ class Allowance:
         """
         m, before = measurement.astype(self._dtype), xi.astype(self._dtype)
         with np.errstate(all="ignore"):
-            c, N, t = self._solve(m, before)
+            loop = self._step.loop(m, before)
+            c, N, t = (part.astype(float) for part in (loop.c, loop.N, loop.t))
             carried = self._epsilon * np.einsum("kij,kj->ki", np.abs(N), np.abs(t))
             terms = 2 * (self._epsilon * np.abs(c) + carried)
             own = _mapped(self._residual, m, before, t)[0].reshape(c.shape)
@@ -99,25 +101,6 @@ class Allowance:
                 rows = np.array(solve.indices)
                 result[:, rows] = terms[:, rows].max(axis=1, keepdims=True)
         return result
-
-    def _solve(self, m: NDArray[Any], xi: NDArray[Any]) -> tuple[Array, Array, Array]:
-        """Return c (N, ns), N (N, ns, ns) and t (N, ns) as the reference step finds them, in double."""
-        walked = self._law.prepare.walk(NumpyAlgebra(self._law.precision, self._law.tanh), [list(m.T), list(xi.T)])
-        arrays = [np.zeros((len(m), *matrix.shape), self._dtype) for matrix in walked]
-        for array, matrix in zip(arrays, walked, strict=True):
-            for (row, column), value in matrix.entries.items():
-                array[:, row, column] = value
-        c, N = arrays[0][:, :, 0], arrays[1]
-        t = np.zeros_like(c)
-        tanh = tanh_of(self._law)
-        for solve in self._law.solves:
-            if isinstance(solve, ScalarSolve):
-                k = solve.index
-                t[:, k] = solve_scalar(N[:, k, k], c[:, k], solve.iterations, tanh, solve.fit)
-            else:
-                rows = np.array(solve.indices)
-                t[:, rows] = solve_block(N[:, rows[:, None], rows], c[:, rows], solve, tanh)[0]
-        return c.astype(float), N.astype(float), t.astype(float)
 
 
 def _mapped(function: ca.Function, *columns: NDArray[Any]) -> list[Array]:

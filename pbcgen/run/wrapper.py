@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from pbcgen.emit.package import Package
-    from pbcgen.law.law import Precision
+    from pbcgen.law.arithmetic import Precision
 
 Floats = NDArray[np.floating[Any]]
 Integers = NDArray[np.intc]

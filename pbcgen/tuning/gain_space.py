@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbcgen.models.exact import decimal
-from pbcgen.models.gains import Matrix, Vector
+from pbcgen.models.gains import Matrix, Vector, is_diagonal
 from pbcgen.models.laws import Integral, Law, NaturalDamping, gains
-from pbcgen.tuning.trial import entries, is_diagonal, like
+from pbcgen.tuning.trial import entries, like
 
 #: How far gains may move from those of the design, in decades.
 _DECADES = {"beta": 3.0, "beta_c": 3.0, "R_c": 4.0, "beta_l": 5.0, "R_l": 5.0, "beta_psi": 3.0}

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbcgen.law.compensation import compensated_force
+from pbcgen.law.graph import PSI_RANGE
 from pbcgen.models.design import Design
-from pbcgen.models.gains import Matrix, Vector
+from pbcgen.models.gains import Matrix, Vector, is_diagonal
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, base_law, gains
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.symbolic.real import approximate
@@ -211,7 +212,7 @@ class Trial:
             a, b = g["alpha_psi"], g["beta_psi"]
             moved = parts[-1] + h * a * b * gamma / ca.cosh(b * parts[-1])
             psi = ca.solve(ca.SX.eye(m) + h * _coupled(g["R_psi"], self.law.R_psi), moved)
-            psi = ca.fmax(-40 / b, ca.fmin(40 / b, psi))
+            psi = ca.fmax(-PSI_RANGE / b, ca.fmin(PSI_RANGE / b, psi))
             following.append(psi)
             u = u - a * ca.tanh(b * psi)
         return ca.vertcat(*following), u
@@ -256,11 +257,6 @@ def _saturated_together(N: ca.SX, r: ca.SX) -> ca.SX:
         for i in range(m):
             t[i] = _saturated(own[i], r[i] - sum(N[i, j] * t[j] for j in range(m) if j != i))
     return ca.vertcat(*t)
-
-
-def is_diagonal(given: Matrix) -> bool:
-    """Whether all entries beside the diagonal are zero."""
-    return not any(v for i, row in enumerate(given) for j, v in enumerate(row) if i != j)
 
 
 def like(given: Matrix, diagonal: Sequence[Fraction]) -> Matrix:

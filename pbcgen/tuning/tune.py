@@ -24,13 +24,13 @@ from pbcgen.control.region import Region, certified_region
 from pbcgen.control.stability import LYAPUNOV
 from pbcgen.errors import NotProved
 from pbcgen.models.design import Design
-from pbcgen.models.gains import Matrix, Vector
+from pbcgen.models.gains import Matrix, Vector, is_diagonal
 from pbcgen.models.laws import Integral, Law, NaturalDamping, base_law
 from pbcgen.proof.claim import EMISSION_CLAIMS, Claim, Status
 from pbcgen.sampling.linearisation import spectral
 from pbcgen.tuning.gain_search import Judge, best_rounded, distinct, gentler, lowest_abscissa, search, wish_is_met
 from pbcgen.tuning.gain_space import rebuilt, totals
-from pbcgen.tuning.trial import Response, entries, is_diagonal
+from pbcgen.tuning.trial import Response, entries
 from pbcgen.tuning.tuning_problem import PUSH, Problem, Route, Wish, shaped, theta_bound, unmet
 
 Progress = Callable[[str], None] | None

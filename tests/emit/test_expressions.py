@@ -18,7 +18,7 @@ from pbcgen.emit.expressions import FORMS, Graph, Printer
 from pbcgen.emit.lowering import constants_of
 from pbcgen.emit.templating import fill
 from pbcgen.errors import EmitError, UnsupportedOperation
-from pbcgen.law.step import NumpyAlgebra
+from pbcgen.law.numpy_algebra import NumpyAlgebra
 from pbcgen.symbolic.tape import OPERATIONS, Operation, Tape
 
 

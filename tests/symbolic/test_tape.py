@@ -10,7 +10,7 @@ from graphs import BINARY, UNARY, graphs
 from hypothesis import given, settings
 
 from pbcgen.errors import ModelError, UnsupportedOperation
-from pbcgen.law.step import NumpyAlgebra
+from pbcgen.law.numpy_algebra import NumpyAlgebra
 from pbcgen.symbolic.tape import OPERATIONS, Constant, Tape, exact_decimal
 
 _ALGEBRA = NumpyAlgebra("double")
