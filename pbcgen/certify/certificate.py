@@ -27,7 +27,7 @@ from pbcgen.law.measure import Measurement, Reading, Unreadable
 from pbcgen.models.identity import canonical_text, model_hash
 from pbcgen.models.laws import NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.models.laws import gains as gains_of
-from pbcgen.passivity.assignable import greedy_rows, residual_of
+from pbcgen.passivity.assignable import greedy_rows, residual_of, scale_of
 from pbcgen.passivity.equilibrium import combination
 from pbcgen.passivity.obstruction import obstruction
 from pbcgen.passivity.plant import Point
@@ -178,6 +178,7 @@ def _rest(derivation: Derivation) -> dict[str, Any] | None:
         return None
     values = dict(zip((*system.state_names, *system.input_names), (*point.x, *point.u), strict=True))
     conditions = [residual_of(c) for c in derivation.design.target.conditions]
+    scales = [Fraction(1)] * system.n + [scale_of(c) for c in derivation.design.target.conditions]
     expressions = ca.vertcat(system.xdot, *conditions)
     guessed = {name: exact for name, value in values.items() if (exact := _exactly(value)) is not None}
     certain = {name: fraction(value) for name, value in values.items() if isinstance(value, fmpq)}
@@ -191,7 +192,9 @@ def _rest(derivation: Derivation) -> dict[str, Any] | None:
         for k in open_:
             weights = combination(derivation.plant, expressions[k], expressions[rows], known)
             if weights is not None:
-                follows[str(k)] = {str(j): str(w) for j, w in zip(rows, weights, strict=True) if w}
+                follows[str(k)] = {
+                    str(j): str(w * scales[j] / scales[k]) for j, w in zip(rows, weights, strict=True) if w
+                }
         if len(rows) == len(values) - len(known) and len(follows) == len(open_):
             witness = {
                 "known": {name: str(value) for name, value in known.items()},

@@ -20,14 +20,36 @@ from pbcgen.symbolic.tape import exact_decimal
 _STARTS = 4
 #: Weight of coordinates that the target leaves open, beside 1 for those that it names.
 _OPEN = 1e-8
+#: Constants up to this are read as the integers that they are.
+_CHUNK = 10**9
 
 
 def residual_of(condition: Condition) -> ca.SX:
-    """``expression - value``, or a multiple of it when the value has no exact decimal of double length."""
+    """``expression - value`` times :func:`scale_of` the condition, with constants that doubles hold exactly."""
     value = condition.value
-    if exact_decimal(float(value)) == value:
+    if _is_double(value):
         return condition.expression - float(value)
-    return condition.expression * float(value.denominator) - float(value.numerator)
+    digits: list[tuple[int, ...]] = [(value.denominator,), (abs(value.numerator),)]
+    while any(high >= _CHUNK for high, *_ in digits):
+        digits = [(*divmod(high, _CHUNK), *low) for high, *low in digits]
+    residual = ca.SX(0)  # Horner's scheme
+    for below, above in zip(*digits, strict=True):
+        residual = residual * _CHUNK + (condition.expression * below - (above if value > 0 else -above))
+    return residual * float(f"1e-{_magnitude(value)}")
+
+
+def scale_of(condition: Condition) -> Fraction:
+    """1, or a number between 1 and 10 when the value has no exact decimal of double length."""
+    value = condition.value
+    return Fraction(1) if _is_double(value) else Fraction(value.denominator, 10 ** _magnitude(value))
+
+
+def _is_double(value: Fraction) -> bool:
+    return exact_decimal(float(value)) == value
+
+
+def _magnitude(value: Fraction) -> int:
+    return len(str(value.denominator)) - 1
 
 
 def target_values(design: Design) -> dict[str, Fraction]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from math import prod
 
 import casadi as ca
 
@@ -76,7 +77,7 @@ def _verify(plant: Plant, design: Design, equations: Equations, known: Mapping[s
     (residuals,) = plant.at(point, equations.expressions)
     values = [row[0] for row in residuals]
     if any(sign(v) in (1, -1) for v in values):
-        return _not_assignable(plant, design, equations, point, values)
+        return _not_assignable(plant, design, point)
     if all(sign(v) == 0 for v in values):
         unfit = _outside_domain(plant, _by_name(plant, point)) or _no_neighbourhood(plant, point)
         if unfit:
@@ -104,6 +105,8 @@ def _search(
         return _no_zero(plant, design, equations, square)
     residuals = [[row[0] for row in plant.at(p, equations.expressions)[0]] for p in points]
     fitting = [p for p, values in zip(points, residuals, strict=True) if not {1, -1} & {sign(v) for v in values}]
+    if not fitting and set(unknown) <= set(plant.system.input_names):  # linear: what was found is all there is
+        return _not_assignable(plant, design, points[0])
     if not fitting:  # there may be zeros that the search did not find
         why = "no rest position that was found meets all conditions of the target"
         return Equilibrium(_undecided(why, residuals[0]), None, tuple(_rounded(plant, p) for p in points))
@@ -146,11 +149,10 @@ def combination(plant: Plant, expression: ca.SX, others: ca.SX, known: Mapping[s
     except (UnsupportedOperation, ZeroDivisionError):
         return None
     functions = values.column(field.const(0))
-    if not all(function.is_polynomial() for function in functions):
-        return None
+    below = prod({str(function.denominator): function.denominator for function in functions}.values())
     rows: dict[object, Row] = {}
     for k, function in enumerate(functions):
-        for exponents, coefficient in function.numerator.to_dict().items():
+        for exponents, coefficient in (function.numerator * (below / function.denominator)).to_dict().items():
             key, value = (CONSTANT, -coefficient) if k == 0 else (k, coefficient)
             rows.setdefault(tuple(exponents), {})[key] = value
     try:
@@ -303,21 +305,18 @@ def _is_smooth_at(plant: Plant, state: Mapping[str, float]) -> bool:
 def _refuted(plant: Plant, design: Design) -> Equilibrium:
     """The linear equations contradict each other: measure by how much, at the target."""
     if _contradict_each_other(plant, design):
-        asked = ", ".join(f"{c.name} = {text(rational(c.value))}" for c in design.target.conditions)
-        claim = Claim(
-            "equilibrium",
-            Status.REFUTED,
-            "at x*",
-            "linear elimination over the rationals",
-            f"the conditions of the target contradict each other, whatever the system: {asked}",
-            "take one of them out of the target",
-            {"conditions": asked},
-        )
-        return Equilibrium(claim, None)
+        return _contradiction(design, "linear elimination over the rationals", ", whatever the system")
     point = best_point(plant, design)
     (residual,) = plant.at(point, plant.system.xdot)
     values = [row[0] for row in residual]
     return _residual_verdict(plant, design, values, "linear elimination over the rationals", point)
+
+
+def _contradiction(design: Design, method: str, scope: str = "") -> Equilibrium:
+    asked = ", ".join(f"{c.name} = {text(rational(c.value))}" for c in design.target.conditions)
+    why = f"the conditions of the target contradict each other{scope}: {asked}"
+    hint = "take one of them out of the target"
+    return Equilibrium(Claim("equilibrium", Status.REFUTED, "at x*", method, why, hint, {"conditions": asked}), None)
 
 
 def _contradict_each_other(plant: Plant, design: Design) -> bool:
@@ -336,10 +335,14 @@ def _contradict_each_other(plant: Plant, design: Design) -> bool:
     return False
 
 
-def _not_assignable(
-    plant: Plant, design: Design, equations: Equations, point: Point, values: Sequence[Real]
-) -> Equilibrium:
-    return _residual_verdict(plant, design, values[: plant.system.n], "residual in exact or ball arithmetic", point)
+def _not_assignable(plant: Plant, design: Design, point: Point) -> Equilibrium:
+    """The verdict where the state is certain, and the system's equations or the target's conditions do not hold."""
+    method = "residual in exact or ball arithmetic"
+    (rates,) = plant.at(point, plant.system.xdot)
+    values = [row[0] for row in rates]
+    if {1, -1} & {sign(v) for v in values}:
+        return _residual_verdict(plant, design, values, method, point)
+    return _contradiction(design, method)
 
 
 def _residual_verdict(plant: Plant, design: Design, values: Sequence[Real], method: str, point: Point) -> Equilibrium:
@@ -348,7 +351,9 @@ def _residual_verdict(plant: Plant, design: Design, values: Sequence[Real], meth
     row = plant.system.state_names[list(values).index(worst)]
     hint = _give_less(plant, design)
     if polished is not None:
-        hint += "; the nearest assignable point is " + _pairs(polished)
+        given = {name: float(value) for name, value in target_values(design).items()}
+        near = all(abs(polished[name] - value) <= 1e-6 * abs(value) for name, value in given.items())
+        hint += "; the nearest assignable point is " + _pairs(polished, 17 if given and near else 9)
     residual = f"d{row}/dt = {text(worst, 6)} with the best u"
     claim = Claim(
         "equilibrium",
@@ -378,10 +383,10 @@ def _give_less(plant: Plant, design: Design) -> str:
     return f"the target gives {names}, and there {there}: {leave}"
 
 
-def _pairs(values: Mapping[str, float]) -> str:
+def _pairs(values: Mapping[str, float], digits: int = 9) -> str:
     """``name = value, ...``; what is rounding beside the other entries is shown as zero."""
     noise = 1e-15 * max((abs(v) for v in values.values()), default=0.0)
-    return ", ".join(f"{k} = {v if abs(v) > noise else 0:.9g}" for k, v in values.items())
+    return ", ".join(f"{k} = {v if abs(v) > noise else 0:.{digits}g}" for k, v in values.items())
 
 
 def input_rank(plant: Plant, point: Point) -> Claim:

@@ -42,15 +42,16 @@ class System:
         self.field = Field(self.n + self.m + len(self.inertia), *settings)
         self.field.whole = bool(document.get("whole_angles", False))
 
-    def walk(self, state: Sequence[Any], lift: Lift = fmpq, known: Known = None) -> dict[str, Matrix]:
-        """All named matrices of the model and of the formulas at a state of any kind of value."""
+    def walk(self, state: Sequence[Any], lift: Lift = fmpq, known: Known = None, aim: bool = True) -> dict[str, Matrix]:
+        """All named matrices of the model, perhaps but for its target, and of the formulas at a state of any kind."""
         found: dict[str, Matrix] = {}
         inputs = {"state": state, "parameter": [lift(p) for p in self.model.parameters]}
         for formulas in (self.formulas, self.model.formulas):  # what the model states comes last, and stands
             own = known if formulas is self.model.formulas else None
-            wanted = [place for _, _, entries in formulas.outputs.values() for place in entries.values()]
+            names = [name for name in formulas.outputs if aim or not name.startswith("target ")]
+            wanted = [place for name in names for place in formulas.outputs[name][2].values()]
             values = formulas.walk(lift, inputs, own, wanted)
-            found |= {name: formulas.matrix(name, values) for name in formulas.outputs}
+            found |= {name: formulas.matrix(name, values) for name in names}
         return found
 
     # --- in positions and velocities -------------------------------------------------------------------------------
@@ -89,11 +90,11 @@ class System:
         values = self.model.formulas.walk(lift, inputs, None, places) if places else []
         return [[fmpq(0) if place is None else values[place] for place in row] for row in self.inertia]
 
-    def moving(self, z: Sequence[Any], lift: Lift) -> dict[str, Matrix]:
+    def moving(self, z: Sequence[Any], lift: Lift, aim: bool = True) -> dict[str, Matrix]:
         """All named matrices in these coordinates."""
         shown = self.inertia and self.solved is not None
         known = dict(zip(self.velocities, z[self.half :], strict=True)) if shown else {}
-        return self.walk(self.state_at(z, lift), lift, known)
+        return self.walk(self.state_at(z, lift), lift, known, aim)
 
     # --- as exact functions of the state ---------------------------------------------------------------------------
 
@@ -103,8 +104,11 @@ class System:
 
     @cached_property
     def exact(self) -> dict[str, Matrix]:
-        """Model and formulas with first derivatives. After it, no function of a bounded domain can join the field."""
-        found = self.moving(variables(self.field.symbols[: self.n]), self.still)
+        """Model and formulas with first derivatives. After it, no function of a bounded domain can join the field.
+
+        Conditions of the target are left out: nothing asks that they are defined elsewhere than at x*.
+        """
+        found = self.moving(variables(self.field.symbols[: self.n]), self.still, aim=False)
         self.field.closed = True
         return found
 

@@ -359,11 +359,13 @@ class Field:
         """The value of a polynomial in symbols and atoms at numbers for the symbols."""
         values: dict[int, Any] = {self.pool + k: value for k, value in enumerate(point)}
         atoms = dict(zip(range(self.pool - 1, -1, -1), self.atoms.items(), strict=False))
+        # Beside functions of states exp(1) is one of these, and no ball.
+        zero = next((value * fmpq(0) for value in point if isinstance(plain(value), Function)), fmpq(0))
 
         def generator(k: int) -> Any:
             if k not in values:
                 (kind, _, _), a = atoms[k]
-                values[k] = apply(kind, total(a.top) / total(a.bottom))
+                values[k] = apply(kind, total(a.top) / total(a.bottom) + zero)
             return values[k]
 
         def total(p: fmpq_mpoly) -> Any:
