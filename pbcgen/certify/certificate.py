@@ -16,7 +16,7 @@ import numpy as np
 from flint import fmpq
 
 import pbcgen
-from pbcgen.certify.dissipation_witness import natural_damping, passivity, storage
+from pbcgen.certify.dissipation_witness import natural_damping, passivity, storage, theta_damping
 from pbcgen.certify.stability_witness import stability_witnesses
 from pbcgen.certify.velocity_witness import SQUARES, coordinates
 from pbcgen.certify.writing import Writing
@@ -306,7 +306,8 @@ def _theta(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, An
     if isinstance(x := found.get("x"), Mapping):  # a state and an input
         system = derivation.plant.system
         return {"x": [str(x[name]) for name in (*system.state_names, *system.input_names)]}
-    return {"v": [str(v) for part in parts for v in found[part]]} if found.keys() >= set(parts) else None
+    direction = {"v": [str(v) for part in parts for v in found[part]]} if found.keys() >= set(parts) else None
+    return None if direction is None else direction | (theta_damping(derivation, terms) or {})
 
 
 _Maker = Callable[[Derivation, Claim, Writing], dict[str, Any] | None]
@@ -316,6 +317,7 @@ _PROVED: Mapping[str, _Maker] = {
     "assumption-1": lambda d, claim, terms: storage(d, claim.domain, terms),
     "passive-output": lambda d, claim, terms: passivity(d, claim.domain, terms),
     "assumption-3": lambda d, _, terms: natural_damping(d, terms),
+    "theta": lambda d, _, terms: theta_damping(d, terms),
     "gradient-condition": _gradient,
 }
 _REFUTED: Mapping[str, _Maker] = {

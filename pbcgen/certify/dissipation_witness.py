@@ -11,19 +11,22 @@ from flint import fmpq, fmpq_mpoly
 
 from pbcgen.certify.writing import Writing
 from pbcgen.control.derive import Derivation
-from pbcgen.passivity.dissipation import constant_part, port_damping
+from pbcgen.models.laws import NaturalDamping, base_law
+from pbcgen.passivity.dissipation import constant_part, is_diagonal, port_damping
 from pbcgen.passivity.plant import Plant, columns, dot
 from pbcgen.passivity.region import Region
 from pbcgen.passivity.shaping import congruence, diagonal, transpose
 from pbcgen.passivity.structure import PowerStructure
+from pbcgen.passivity.theta import SPARE, filter_gain, needed_damping, required
 from pbcgen.proof.branch import Formula, formula_of, zero_set
-from pbcgen.proof.definite import RealMatrix, dense
+from pbcgen.proof.claim import Status
+from pbcgen.proof.definite import RealMatrix, dense, inverse, positive_semidefinite
 from pbcgen.proof.sos import find as find_squares
 from pbcgen.proof.squares import Factor, Leaf, Square, decompose, decompose_matrix, of_programme
 from pbcgen.proof.tree import tree
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.plain.formulas import Formulas
-from pbcgen.symbolic.real import Real, midpoint
+from pbcgen.symbolic.real import Real, midpoint, rational
 from pbcgen.symbolic.tape import Tape
 
 #: A letter each.
@@ -221,6 +224,48 @@ def natural_damping(derivation: Derivation, terms: Writing) -> Witness:
     return lambdas | (found or {})
 
 
+def carrying_damping(derivation: Derivation) -> RealMatrix | None:
+    """Lambda for `theta` where the diagonal one of Assumption 3 does not decide it; else None.
+
+    REFUTED: the largest Lambda. PROVED: what K_l and R_l ask for, which the dissipation then exceeds, with something of
+    the diagonal Lambda and some of K_l R_l to spare where there is any.
+    """
+    bounds, law = derivation.bounds, base_law(derivation.law)
+    claim = next((c for c in derivation.claims if c.claim == "theta"), None)
+    if bounds is None or claim is None or not isinstance(law, NaturalDamping) or law.Upsilon is None:
+        return None
+    if bounds.Lambda_l is None or bounds.Lambda_c is None or claim.status is Status.UNDECIDED:
+        return None
+    if claim.status is Status.REFUTED:
+        W = bounds.compliance
+        return None if W is None or is_diagonal(W) or "x" in (claim.counterexample or {}) else inverse(W)
+    enough = required(diagonal([1 / v for v in (*bounds.Lambda_l, *bounds.Lambda_c)]), law.Upsilon)
+    spare = [[fmpq(0) - v for v in row] for row in enough]
+    for i, k in enumerate(filter_gain(law)):
+        spare[i][i] = spare[i][i] + rational(k)
+    if positive_semidefinite(spare).status is Status.PROVED:
+        return None
+    touching = needed_damping(law)
+    if not derivation.situation or not derivation.situation.damping_to_spare:
+        return touching
+    share = fmpq(1, 2000)  # half of what strictness leaves
+    own = [*bounds.Lambda_l, *bounds.Lambda_c]
+    more = needed_damping(law, SPARE)
+    mixed = [[(1 - share) * v for v in row] for row in more]
+    for i, v in enumerate(own):
+        mixed[i][i] = mixed[i][i] + share * v
+    return mixed
+
+
+def theta_damping(derivation: Derivation, terms: Writing) -> Witness:
+    """For `theta`: that Lambda, and what the dissipation has beyond it as a sum of squares."""
+    Lambda, eta = carrying_damping(derivation), derivation.eta
+    if Lambda is None or eta is None:
+        return None
+    squares = _beyond(derivation, eta, Lambda) or _beyond_varying(derivation, eta, Lambda)
+    return {"Lambda": [[str(v) for v in row] for row in Lambda]} | (_squares(squares, terms) or {})
+
+
 def sampled_damping(derivation: Derivation, damped: bool, terms: Writing) -> Witness:
     """For `sampled-stable` by the storage: the full Lambda, and what the dissipation has beyond it."""
     structure, gamma = derivation.structure, derivation.gamma
@@ -274,9 +319,11 @@ def _beyond_varying(derivation: Derivation, eta: ca.SX, Lambda: RealMatrix) -> l
     )
     zero = field.const(0)
     left, signals = matrix.dense(zero), rows.dense(zero)
-    for k, row in enumerate(signals):
-        weight = field.const(midpoint(Lambda[k][k]))
-        left = [[v - weight * a * b for v, b in zip(line, row, strict=True)] for line, a in zip(left, row, strict=True)]
+    for a, weights in zip(signals, Lambda, strict=True):
+        for b, weight in zip(signals, weights, strict=True):
+            if weight != 0:
+                scaled = [field.const(midpoint(weight)) * v for v in a]
+                left = [[v - p * q for v, q in zip(line, b, strict=True)] for line, p in zip(left, scaled, strict=True)]
     region = Region.stated(plant)
     leaf = Boxes(plant, region) if bounds.claim.domain == region.text and not region.is_whole else None
     squares = decompose_matrix(left, leaf) if lift.matched else None

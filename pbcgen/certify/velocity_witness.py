@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 
 from pbcgen.certify.attraction_witness import in_squares
+from pbcgen.certify.dissipation_witness import carrying_damping
 from pbcgen.certify.writing import Writing
 from pbcgen.control.derive import Derivation
 from pbcgen.passivity.dissipation import port_damping
@@ -20,7 +21,7 @@ from pbcgen.symbolic.tape import Tape
 from pbcgen.verify.stability import Stability
 
 #: Claims that are shown by squares, which are then written in (q, v).
-SQUARES = ("assumption-1", "passive-output", "assumption-3")
+SQUARES = ("assumption-1", "passive-output", "assumption-3", "theta")
 
 #: Refutations that are made in the states themselves.
 _IN_STATES = ("measurability", "passive-output", "asymptotically-stable")
@@ -76,6 +77,12 @@ def squares(derivation: Derivation, system: Stability, claim: Claim, terms: Writ
             return None
         given = {name: [str(v) for v in getattr(bounds, name)] for name in ("Lambda_l", "Lambda_c")}
         matrix = beyond(system, diagonal([rational(v) for part in given.values() for v in part]), damped=True)
+    if claim.claim == "theta":
+        Lambda = carrying_damping(derivation)
+        if Lambda is None:
+            return None
+        given = {"Lambda": [[str(v) for v in row] for row in Lambda]}
+        matrix = beyond(system, [[rational(v) for v in row] for row in given["Lambda"]], damped=True)
     found = in_squares(system.field, matrix, terms)
     return given | ({} if found is None else {"squares": found})
 

@@ -29,7 +29,7 @@ from pbcgen.models.laws import gains as gains_of
 from pbcgen.passivity import passive_output
 from pbcgen.passivity.assignable import assignable_set
 from pbcgen.passivity.damping_search import Port
-from pbcgen.passivity.dissipation import NaturalDampingBounds, ThetaVerdict, assumption_3, theta
+from pbcgen.passivity.dissipation import NaturalDampingBounds, assumption_3
 from pbcgen.passivity.equilibrium import Equilibrium, complete, input_rank
 from pbcgen.passivity.passive_output import PassiveOutput as PassiveOutputResult
 from pbcgen.passivity.plant import Plant, Point
@@ -45,6 +45,7 @@ from pbcgen.passivity.shaping import (
 from pbcgen.passivity.storage import Storage, assumption_1
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.passivity.target_map import TargetMap, target_map
+from pbcgen.passivity.theta import ThetaVerdict, theta
 from pbcgen.proof.claim import CLAIMS, NOT_REACHED, Claim, Status
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.real import approximate
@@ -165,11 +166,12 @@ def derive(design: Design, progress: Progress = None, scan: bool = False) -> Der
     base = base_law(law)
     if output is not None and bounds is not None and isinstance(base, NaturalDamping):
         port = Port.of(plant, Region.stated(plant), output.gamma, eta)
-        theta_verdict = stages.run("theta", lambda: theta(bounds, base, port))
+        theta_verdict = stages.run("theta", lambda: theta(bounds, base, port, storage.structure))
         stages.add(theta_verdict.claim)
     at_target = None
     if equilibrium.point is not None:
-        at_target = _AtTarget(plant, design, law, equilibrium.point, output, storage, bounds)
+        spare = theta_verdict is not None and theta_verdict.strict
+        at_target = _AtTarget(plant, design, law, equilibrium.point, output, storage, eta, spare)
         at_target.sampling = Sampling(design.delay, design.jitter, scan)
         numbers |= stages.run("at the target", lambda: at_target.decide(stages))
     numbers |= _bounds_as_numbers(bounds, theta_verdict)
@@ -272,11 +274,11 @@ class _AtTarget:
         point: Point,
         output: PassiveOutputResult | None,
         storage: Storage,
-        bounds: NaturalDampingBounds | None,
+        eta: ca.SX | None,
+        spare: bool,
     ) -> None:
         self.plant, self.design, self.law, self.point = plant, design, law, point
-        self.output, self.storage, self.bounds = output, storage, bounds
-        self.eta = bounds.eta if bounds is not None else None
+        self.output, self.storage, self.eta, self.spare = output, storage, eta, spare
         self.sampling = Sampling()
         self.graph: LawGraph | None = None
         self.interface: Interface | None = None
@@ -348,7 +350,7 @@ class _AtTarget:
             self.output.gamma,
             self.eta,
             self._structure(),
-            self.bounds,
+            self.spare,
             stages.claims,
         )
 

@@ -14,7 +14,6 @@ from pbcgen.law.compensation import compensated_force
 from pbcgen.law.gain_matrices import exact_inverse
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import BaseLaw, Integral, Law, NaturalDamping, PassiveOutput, base_law
-from pbcgen.passivity.dissipation import NaturalDampingBounds, theta_is_strict
 from pbcgen.passivity.flow import Flow, flow, flow_by_balance
 from pbcgen.passivity.lasalle import InvariantSet, branches, invariant_set
 from pbcgen.passivity.plant import Plant, Point
@@ -39,7 +38,7 @@ class Situation:
         plant, point, law: the system at x* and the law with resolved gains.
         gamma: m x 1. eta: s x 1 or None.
         structure: a power structure that proves Assumption 1 and matches gamma, or None.
-        bounds: of Assumption 3, for natural damping.
+        damping_to_spare: whether Theta > 0, for natural damping.
         found: the claims so far.
     """
 
@@ -49,7 +48,7 @@ class Situation:
     gamma: ca.SX
     eta: ca.SX | None
     structure: PowerStructure | None
-    bounds: NaturalDampingBounds | None
+    damping_to_spare: bool
     found: Mapping[str, Claim]
 
     @property
@@ -127,8 +126,8 @@ class Situation:
     @cached_property
     def flow(self) -> Flow | None:
         """What moves on the invariant set, or None when the Lyapunov function does not give one."""
-        if isinstance(self.law, Integral) or not self._theta_strict():
-            return None
+        if isinstance(self.law, Integral) or (isinstance(self.base, NaturalDamping) and not self.damping_to_spare):
+            return None  # Theta > 0 is what makes eta', y and x_l' vanish where the Lyapunov function rests
         if self.structure is None:
             return self._flow_by_balance()
         still = self.eta if isinstance(self.base, NaturalDamping) else None
@@ -211,12 +210,6 @@ class Situation:
         column = ca.substitute(ca.vertcat(ca.SX(0, 1), *relations, *part.pending), constant, system.u)
         (values,) = self.plant.at(Point(self.point.x, self._held_input), column)
         return any(sign(row[0]) in (1, -1) for row in values)
-
-    def _theta_strict(self) -> bool:
-        """Theta > 0 is what makes eta', y and x_l' vanish where the Lyapunov function rests."""
-        if not isinstance(self.base, NaturalDamping):
-            return True
-        return self.bounds is not None and theta_is_strict(self.bounds, self.base)
 
     def at_target(self, *functions: ca.SX) -> InvariantSet | None:
         """The invariant set with u = u* and ``functions`` at their values of x*; None when those are not exact."""

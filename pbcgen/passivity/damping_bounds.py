@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from math import floor, isfinite, log10
 
 import casadi as ca
@@ -30,7 +31,7 @@ from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import RealMatrix, positive_semidefinite
 from pbcgen.proof.elimination import semidefinite
 from pbcgen.symbolic.field import Quotient
-from pbcgen.symbolic.real import approximate, rational
+from pbcgen.symbolic.real import approximate, fraction, rational
 
 Floats = NDArray[np.float64]
 
@@ -78,11 +79,33 @@ def bounds_on(
         compliance = work.proposal(chosen)
         proposed = [] if compliance is None else [1 / v for v in compliance]
         for candidate in _rounded(proposed):
-            if work.proved(chosen, candidate):
+            if work.proved(chosen, _diagonal(candidate)):
                 return Bounds(tuple(chosen), tuple(rational(v) for v in candidate))
     except (UnsupportedOperation, ZeroDivisionError):
         pass
     return None
+
+
+def exceeds(
+    plant: Plant, structure: PowerStructure, gamma: ca.SX, eta: ca.SX, Lambda: RealMatrix, region: Region
+) -> bool:
+    """Whether ``|l + w u|^2 >= |(eta', y)|^2_Lambda`` is proved on the region; Lambda is symmetric, of any sign.
+
+    The structure must hold, give gamma, and leave eta to itself, as for :func:`bounds_on`.
+    """
+    if plant.system.n > _MOST or not all(isinstance(v, fmpq) for row in Lambda for v in row):
+        return False
+    signals = ca.vertsplit(eta)
+    work = _Work(plant, structure, gamma, signals, region)
+    try:
+        rational_ = [[fraction(v) for v in row] for row in Lambda]
+        return work.proved(range(len(signals)), rational_)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return False
+
+
+def _diagonal(values: Sequence[Fraction]) -> list[list[Fraction]]:
+    return [[v if i == j else Fraction(0) for j, _ in enumerate(values)] for i, v in enumerate(values)]
 
 
 class _Work:
@@ -99,7 +122,6 @@ class _Work:
         self.rows = ca.mtimes(stacked, structure.matrix) if structure.form == "F" else stacked
         self.dissipation = structure.dissipation()
         self.remainder = structure.remainder
-        self.values = self._sampled()
 
     def usable(self) -> list[int]:
         """The signals that gamma and the friction beside the structure leave alone."""
@@ -109,7 +131,8 @@ class _Work:
         dense, rest = o.dense(zero), friction.column(zero)
         return [k for k in range(self.count) if rest[k].is_zero() and all(v.is_zero() for v in dense[k])]
 
-    def _sampled(self) -> list[tuple[Floats, Floats]]:
+    @cached_property
+    def values(self) -> list[tuple[Floats, Floats]]:
         """The dissipation and the rows at states of the region."""
         system, generator = self.plant.system, np.random.default_rng(3)
         function = self.plant.numeric(ca.densify(self.dissipation), ca.densify(self.rows))
@@ -147,8 +170,8 @@ class _Work:
         share = max(float(np.linalg.eigvalsh(W / np.outer(root, root))[-1]) for W in found)
         return [float(v) * share for v in sizes]
 
-    def proved(self, chosen: Sequence[int], Lambda: Sequence[Fraction]) -> bool:
-        """Whether ``B - R^T diag(Lambda) R >= 0`` and ``rho^T grad S >= 0`` on the region."""
+    def proved(self, chosen: Sequence[int], Lambda: Sequence[Sequence[Fraction]]) -> bool:
+        """Whether ``B - R^T Lambda R >= 0`` and ``rho^T grad S >= 0`` on the region."""
         friction = ca.dot(self.remainder, self.plant.gradient)
         field, (B, rows, rest) = self.plant.exact(self.dissipation, self.rows, friction)
         zero = field.const(0)
@@ -159,9 +182,10 @@ class _Work:
 
         def entry(i: int, j: int) -> Quotient:
             total: Quotient = dense[i][j]
-            for weight, row in zip(Lambda, picked, strict=True):
-                if not (row[i].is_zero() or row[j].is_zero()):
-                    total = total - field.const(weight) * row[i] * row[j]
+            for weights, left in zip(Lambda, picked, strict=True):
+                for weight, right in zip(weights, picked, strict=True):
+                    if weight and not (left[i].is_zero() or right[j].is_zero()):
+                        total = total - field.const(weight) * left[i] * right[j]
             return total
 
         size = range(len(dense))

@@ -47,13 +47,15 @@ class Port:
     region: Region
     eta_rate: ca.SX
     y: ca.SX
+    gamma: ca.SX
+    eta: ca.SX | None
 
     @staticmethod
     def of(plant: Plant, region: Region, gamma: ca.SX, eta: ca.SX | None) -> Port:
         """For the given gamma, and eta if there is one."""
         x, xdot = plant.system.x, plant.system.xdot
         rate = ca.SX(0, 1) if eta is None else ca.mtimes(ca.jacobian(eta, x), xdot)
-        return Port(plant, region, rate, ca.mtimes(ca.jacobian(gamma, x), xdot))
+        return Port(plant, region, rate, ca.mtimes(ca.jacobian(gamma, x), xdot), gamma, eta)
 
     @property
     def dissipation(self) -> ca.SX:

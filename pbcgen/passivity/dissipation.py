@@ -1,4 +1,4 @@
-"""Assumption 3, natural damping of coordinates eta, and the matrix Theta of Prop. pro4.
+"""Assumption 3: natural damping of coordinates eta.
 
 With the power structure the dissipation is ``v^T B v + rho^T grad S``, and every signal sigma(x) has
 ``sigma' = r v`` with the row r = grad sigma^T F (or grad sigma^T), provided rho does not act on it. For a constant
@@ -18,23 +18,19 @@ from flint import fmpq
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.exact import rounded_down
-from pbcgen.models.gains import Matrix
-from pbcgen.models.laws import NaturalDamping
 from pbcgen.passivity.damping_bounds import bounds_on, tightened
 from pbcgen.passivity.damping_search import Port
 from pbcgen.passivity.passive_output import gives_output
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.region import Region
-from pbcgen.passivity.shaping import congruence, diagonal, exact_matrix, multiply, transpose
+from pbcgen.passivity.shaping import multiply, transpose
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import (
     RealMatrix,
     SparseRow,
     dense,
-    eigenvalues,
     inverse,
-    positive_definite,
     positive_semidefinite,
 )
 from pbcgen.proof.nonnegative import nonnegative
@@ -53,7 +49,9 @@ class NaturalDampingBounds:
         eta_names: how to call its entries.
         Lambda_l, Lambda_c: the largest constant diagonals found, or None.
         claim: the verdict `assumption-3`.
-        tight: whether no larger constants exist: the dissipation is constant, and eta' and y share none of it.
+        tight: whether no larger constants exist: the dissipation is constant.
+        compliance: W, whose inverse is the largest constant matrix Lambda in the Loewner order, for a constant part of
+            the dissipation; it is diagonal where eta' and y share no damping.
     """
 
     eta: ca.SX | None
@@ -62,6 +60,7 @@ class NaturalDampingBounds:
     Lambda_c: tuple[Real, ...] | None
     claim: Claim
     tight: bool = False
+    compliance: RealMatrix | None = None
 
 
 @dataclass(frozen=True)
@@ -152,8 +151,11 @@ def _bounds(
     eta = ca.vertcat(*[candidates[k] for k in chosen])
     eta_names = tuple(names[k] for k in chosen)
     claim = _with_constants("all x", "exact compliance of the dissipation", eta_names, bounds)
-    separate = all(v == 0 for i, row in enumerate(W) for j, v in enumerate(row) if i != j)
-    return NaturalDampingBounds(eta, eta_names, tuple(bounds[:s]), tuple(bounds[s:]), claim, rows.complete and separate)
+    largest = None if is_diagonal(W) else inverse(W)
+    if largest is not None:
+        shown = "; ".join(", ".join(text(v, 6) for v in row) for row in largest)
+        claim = replace(claim, evidence=f"{claim.evidence}; the largest Lambda for (eta, gamma) is [{shown}]")
+    return NaturalDampingBounds(eta, eta_names, tuple(bounds[:s]), tuple(bounds[s:]), claim, rows.complete, W)
 
 
 def _varying_bounds(
@@ -318,6 +320,11 @@ def port_damping(plant: Plant, structure: PowerStructure, gamma: ca.SX, eta: ca.
     return inverse(_compliance(rows.B0, stacked))
 
 
+def is_diagonal(matrix: RealMatrix) -> bool:
+    """Whether every entry off the diagonal is exactly zero."""
+    return all(isinstance(v, fmpq) and v == 0 for i, row in enumerate(matrix) for j, v in enumerate(row) if i != j)
+
+
 def _row_sum(row: Sequence[Real]) -> Real:
     """The diagonal entry that dominates a row of W: exact when W is diagonal."""
     total: Real = ZERO
@@ -374,120 +381,3 @@ def _kernel_direction(B0: Sequence[SparseRow], row: Sequence[Real]) -> list[Real
     equations.append({**dict(enumerate(row)), CONSTANT: fmpq(-1)})
     solution = particular_solution(reduce_rows(equations), fmpq(0))
     return [solution.get(k, fmpq(0)) for k in range(len(row))]
-
-
-@dataclass(frozen=True)
-class ThetaVerdict:
-    """The claim `theta` and the bound ``(Upsilon Lambda_l^-1 Upsilon^T + Lambda_c^-1) / 4`` on K_l R_l."""
-
-    claim: Claim
-    bound: RealMatrix | None
-    smallest: float | None
-
-
-def theta(bounds: NaturalDampingBounds, law: NaturalDamping, port: Port | None = None) -> ThetaVerdict:
-    """``Theta >= 0`` (Th), in the Loewner order; touching zero counts.
-
-    Args:
-        bounds: the constants of Assumption 3; without them only a counterexample can be found.
-        law: with its gains.
-        port: where to look for states at which the damping is too weak, or None.
-    """
-    if bounds.Lambda_l is None or bounds.Lambda_c is None or law.Upsilon is None:
-        return ThetaVerdict(_theta_without_bounds(law, port), None, None)
-    bound = _required(bounds.Lambda_l, bounds.Lambda_c, law.Upsilon)
-    product = _filter_gain(law)
-    verdict = positive_semidefinite(_excess(product, bound))
-    smallest = eigenvalues(bound)[-1]
-    given = ", ".join(f"{float(p):.6g}" for p in product)
-    evidence = f"K_l R_l = {given}; sufficient and, for these Lambda, necessary: {smallest:.6g}"
-    if verdict.status is Status.PROVED:
-        domain = bounds.claim.domain
-        claim = Claim("theta", Status.PROVED, domain, "Schur complement over the rationals", evidence)
-    elif not bounds.tight and port is not None and port.theta_negative(law.Upsilon, product) is None:
-        evidence += "; other Lambda may do: no state was found at which the dissipation is too weak"
-        hint = f"raise K_l R_l to {smallest:.6g}"
-        method = "Schur complement over the rationals; search for a state with too little damping"
-        claim = Claim("theta", Status.UNDECIDED, "all x", method, evidence, hint)
-    else:
-        claim = Claim(
-            "theta",
-            verdict.status,
-            "all x",
-            "Schur complement over the rationals",
-            evidence,
-            f"raise K_l R_l to {smallest:.6g}",
-            _theta_witness(
-                exact_matrix(law.Upsilon),
-                diagonal([fmpq(1) / v for v in bounds.Lambda_l]),
-                bounds.Lambda_c,
-                law,
-                verdict.witness or (),
-            ),
-        )
-    return ThetaVerdict(claim, bound, smallest)
-
-
-def _theta_without_bounds(law: NaturalDamping, port: Port | None) -> Claim:
-    """A state at which no Lambda would be enough for these gains, or nothing."""
-    method = "search for a state with too little damping, confirmed at a rational point"
-    if port is None or law.Upsilon is None or port.eta_rate.numel() == 0:
-        return Claim("theta", Status.UNDECIDED, "all x", method, "needs assumption-3", "satisfy assumption-3 first")
-    found = port.theta_negative(law.Upsilon, _filter_gain(law))
-    if found is None:
-        evidence = "no state with too little damping was found; a proof needs assumption-3"
-        return Claim("theta", Status.UNDECIDED, port.region.text, method, evidence, "satisfy assumption-3 first")
-    shown = ", ".join(f"{name} = {value}" for name, value in found.values.items())
-    evidence = f"|l + w u|^2 - |Upsilon eta' - y|^2_(4 K_l R_l)^-1 = {found.dissipation} < 0 at {shown}"
-    witness = {"x": found.values, "Theta form": found.dissipation}
-    return Claim("theta", Status.REFUTED, port.region.text, method, evidence, "raise K_l R_l, or add friction", witness)
-
-
-def _required(Lambda_l: Sequence[Real], Lambda_c: Sequence[Real], upsilon: Matrix) -> RealMatrix:
-    """``(Upsilon Lambda_l^-1 Upsilon^T + Lambda_c^-1) / 4``."""
-    spread = congruence(exact_matrix(upsilon), diagonal([fmpq(1) / v for v in Lambda_l]))
-    own = diagonal([fmpq(1) / v for v in Lambda_c])
-    return [[(a + b) / 4 for a, b in zip(p, q, strict=True)] for p, q in zip(spread, own, strict=True)]
-
-
-def _filter_gain(law: NaturalDamping) -> list[Fraction]:
-    """The diagonal of K_l R_l."""
-    return [law.K_l[i][i] * law.R_l[i][i] for i in range(len(law.K_l))]
-
-
-def _excess(product: Sequence[Fraction], bound: RealMatrix) -> RealMatrix:
-    """``K_l R_l - bound``."""
-    return [[(rational(product[i]) if i == j else ZERO) - v for j, v in enumerate(row)] for i, row in enumerate(bound)]
-
-
-def _theta_witness(
-    upsilon: RealMatrix,
-    compliance_l: RealMatrix,
-    Lambda_c: Sequence[Real],
-    law: NaturalDamping,
-    witness: Sequence[Fraction],
-) -> dict[str, object]:
-    """(eta', y, x_l') with a negative Theta form: x_l' = R_l w, and eta', y that minimise the form."""
-    w = [rational(c) for c in witness]
-    column = [[c] for c in w]
-    eta_rate = [-row[0] / 2 for row in multiply(multiply(compliance_l, transpose(upsilon)), column)]
-    y = [c / (2 * Lambda_c[i]) for i, c in enumerate(w)]
-    x_l_rate = [rational(law.R_l[i][i]) * c for i, c in enumerate(w)]
-    coupling = dot_real(multiply([eta_rate], transpose(upsilon))[0], w) - dot_real(y, w)
-    value = coupling + dot_real([rational(law.K_l[i][i] * law.R_l[i][i]) * c for i, c in enumerate(w)], w)
-    value = value + dot_real([r / compliance_l[i][i] for i, r in enumerate(eta_rate)], eta_rate)
-    value = value + dot_real([r * Lambda_c[i] for i, r in enumerate(y)], y)
-    return {
-        "eta'": [text(v) for v in eta_rate],
-        "y": [text(v) for v in y],
-        "x_l'": [text(v) for v in x_l_rate],
-        "Theta form": text(value, 9),
-    }
-
-
-def theta_is_strict(bounds: NaturalDampingBounds, law: NaturalDamping) -> bool:
-    """Whether Theta > 0: then the Lyapunov function rests only where eta', y and x_l' vanish."""
-    if bounds.Lambda_l is None or bounds.Lambda_c is None or law.Upsilon is None:
-        return False
-    excess = _excess(_filter_gain(law), _required(bounds.Lambda_l, bounds.Lambda_c, law.Upsilon))
-    return positive_definite(excess).status is Status.PROVED

@@ -12,6 +12,7 @@ from pbcgen.reading.growth import GLOBAL
 from pbcgen.reading.system import require
 from pbcgen.symbolic.plain.boxes import shown
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
+from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, is_definite, plus, product, transpose
 from pbcgen.symbolic.plain.spectra import inverse
 from pbcgen.symbolic.plain.values import NotCheckable, plain, sign, variables
@@ -168,7 +169,7 @@ class Assumptions(Alone):
 
     def proved_assumption_3(self) -> None:
         """``u^T y - S' >= |eta'|^2_{Lambda_l} + |y|^2_{Lambda_c}``, and gamma and eta are decoupled."""
-        Lambda = [v for name in ("Lambda_l", "Lambda_c") for v in self.given("assumption-3", name)]
+        Lambda = self.given("assumption-3", "Lambda_l") + self.given("assumption-3", "Lambda_c")
         eta, gamma = self.rate("eta"), self.rate("gamma")
         require(min(Lambda) > 0 and 1 <= len(eta) <= self.n - self.m, "Lambda or eta is not as it must be")
         coupling = product(self.slope("eta"), transpose(self.slope("gamma")))
@@ -189,17 +190,27 @@ class Assumptions(Alone):
         moving = [dot([put_in(self.field, v, place) for v in row], one_u) for row in rates]
         return require({1, -1} & {sign(v) for v in moving}, "what shall be damped may be at rest")
 
+    def carried(self, Lambda: Matrix) -> Matrix:
+        """Theta (Th) for (eta', y, R_l^-1 x_l'), where Lambda is what damps (eta', y)."""
+        m, gains = self.m, self.model.gains
+        half = [[v / 2 for v in row] for row in self.upsilon(len(Lambda) - m)]
+        side = blocks([[half, diagonal([fmpq(-1, 2)] * m)]])
+        return blocks([[Lambda, transpose(side)], [side, product(gains["K_l"], gains["R_l"])]])
+
     @property
     def theta(self) -> Matrix:
-        """Theta (Th), for (eta', y, x_l'), with the constants of Assumption 3."""
+        """Theta with the constants of Assumption 3, or with a Lambda that is not diagonal."""
         self.proved_assumption_3()
-        Ll, Lc = (self.given("assumption-3", name) for name in ("Lambda_l", "Lambda_c"))
-        R, K = ([gain[i][i] for i, _ in enumerate(gain)] for gain in (self.model.gains["R_l"], self.model.gains["K_l"]))
-        side = product(
-            diagonal([1 / (2 * r) for r in R]), blocks([[self.upsilon(len(Ll)), diagonal([fmpq(-1)] * self.m)]])
-        )
-        corner = diagonal([k / r for k, r in zip(K, R, strict=True)])
-        return blocks([[diagonal(Ll + Lc), transpose(side)], [side, corner]])
+        if "Lambda" in self.witness["theta"]:
+            return self.carried(self.exceeded("theta", self.rate("eta") + self.rate("gamma")))
+        return self.carried(diagonal(self.given("assumption-3", "Lambda_l") + self.given("assumption-3", "Lambda_c")))
+
+    def exceeded(self, claim: str, rates: Matrix) -> Matrix:
+        """The Lambda of a witness, if ``u^T gamma' - S' >= |rates|^2_Lambda``."""
+        Lambda = [[rational(v) for v in row] for row in self.witness[claim]["Lambda"]]
+        require(Lambda == transpose(Lambda), "Lambda is not symmetric")
+        self.nonnegative(plus(self.power, product(transpose(rates), Lambda, rates), -1), claim)
+        return Lambda
 
     def proved_theta(self) -> None:
         """``Theta >= 0``."""
@@ -211,7 +222,8 @@ class Assumptions(Alone):
             return require(sign(self._spare()) == -1, "the damping suffices at this state")
         if not {"v"} & self.witness["theta"].keys() | {"Lambda_l"} & self.witness["assumption-3"].keys():
             raise NotCheckable("the certificate holds no constants and no direction")
-        v = self.given("theta", "v")
+        v, gain = self.given("theta", "v"), self.model.gains["R_l"]
+        v[-self.m :] = [x / gain[i][i] for i, x in enumerate(v[-self.m :])]
         return require(sign(dot(v, [dot(row, v) for row in self.theta])) == -1, "the direction does not show it")
 
     def _spare(self) -> Any:

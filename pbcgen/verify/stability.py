@@ -14,7 +14,7 @@ from pbcgen.reading.growth import GLOBAL as _GLOBAL
 from pbcgen.reading.system import require
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.formulas import rational
-from pbcgen.symbolic.plain.matrices import blocks, diagonal, dot, is_definite, plus, product, transpose
+from pbcgen.symbolic.plain.matrices import diagonal, dot, is_definite, plus, product, transpose
 from pbcgen.symbolic.plain.spectra import stable
 from pbcgen.symbolic.plain.values import NotCheckable, sign
 from pbcgen.verify.assumptions import Assumptions
@@ -179,11 +179,9 @@ class Stability(Assumptions):
         """What the longest period h consumes leaves damping: ``Lambda - h C / 2 > 0`` for y, or Theta > 0 with that."""
         require("delay" not in self.model.words, "the storage argument is for inputs that act at once")
         self.lyapunov()
-        claim, gains, damped = "sampled-stable", self.model.gains, "natural-damping" in self.law
+        gains, damped = self.model.gains, "natural-damping" in self.law
         h = self.period * (1 + self.jitter)
         rates = (self.rate("eta") if damped else []) + self.rate("gamma")
-        Lambda = [[rational(v) for v in row] for row in self.witness[claim]["Lambda"]]
-        self.nonnegative(plus(self.power, product(transpose(rates), Lambda, rates), -1), claim)
         consumed = [row[k] for k, row in enumerate(self.stiffness)]
         if damped:
             consumed = [c + a * b for c, a, b in zip(consumed, gains["alpha_l"][0], gains["beta_l"][0], strict=True)]
@@ -192,12 +190,9 @@ class Stability(Assumptions):
             for i, row in enumerate(bounds):
                 least = row[i][0] - row[i][1] - sum((abs(c) + r for j, (c, r) in enumerate(row) if j != i), fmpq(0))
                 consumed[i] += max(-least, fmpq(0))
-        s = len(rates) - self.m
-        left = plus(Lambda, diagonal([fmpq(0)] * s + [c * h / 2 for c in consumed]), -1)
-        if damped:
-            side = blocks([[[[v / -2 for v in row] for row in self.upsilon(s)], diagonal([fmpq(1, 2)] * self.m)]])
-            left = blocks([[left, transpose(side)], [side, product(gains["K_l"], gains["R_l"])]])
-        require(is_definite(left), "the storage may grow from sample to sample")
+        spent = diagonal([fmpq(0)] * (len(rates) - self.m) + [c * h / 2 for c in consumed])
+        left = plus(self.exceeded("sampled-stable", rates), spent, -1)
+        require(is_definite(self.carried(left) if damped else left), "the storage may grow from sample to sample")
 
     # --- at all settings -------------------------------------------------------------------------------------------
 
