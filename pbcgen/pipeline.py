@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 
 from pbcgen.certify.certificate import certificate as write_certificate
 from pbcgen.control.derive import Derivation, derive
-from pbcgen.control.stability import LYAPUNOV
 from pbcgen.emit import Extras, Package, Provenance, render
 from pbcgen.errors import EmitError, ModelError, NotProved
 from pbcgen.law.arithmetic import Tanh, default_tanh
@@ -181,19 +180,12 @@ def region(report: Report, boxes: int | None = None, progress: Progress = None) 
 
     Raises ModelError when the derivation stopped before there was a closed loop.
     """
-    from pbcgen.control.attraction import BOXES, region_of_attraction
+    from pbcgen.control.attraction import BOXES, attracted_level_set
 
-    situation = report.derivation.situation
-    if situation is None:
+    found = attracted_level_set(report.derivation, boxes or BOXES, progress)
+    if found is None:
         raise ModelError(f"`{report.design.name}` has no closed loop to find a region for: see `pbcgen check`")
-    claims = {c.claim: c for c in report.claims}
-    return region_of_attraction(
-        situation,
-        claims["stable"].method == LYAPUNOV,
-        claims["globally-asymptotically-stable"].holds_everywhere,
-        boxes or BOXES,
-        progress,
-    )
+    return found
 
 
 def package(
@@ -314,9 +306,9 @@ def validate(
     allow: Sequence[str] = (),
     tanh: Tanh | None = None,
     progress: Progress = None,
-    steps: int | None = None,
+    steps: int = 2_000,
 ) -> Validation:
-    """Compile the C of the design and test it; see :func:`pbcgen.run.validate.validate`."""
+    """Compile the C of the design and test it over so many sample periods; see :func:`pbcgen.run.validate.validate`."""
     from pbcgen.run.validate import validate as run
 
     _require_start(design)
@@ -324,8 +316,7 @@ def validate(
     rendered = package(report, allow=allow)
     assert report.control is not None
     assert report.loop is not None
-    more = {} if steps is None else {"steps": steps}
-    return run(report.control, rendered, report.loop, report.derivation.relaw, progress=progress, **more)
+    return run(report.control, rendered, report.loop, report.derivation.relaw, progress=progress, steps=steps)
 
 
 def _require_start(design: Design) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -47,6 +48,24 @@ TanhOption = Annotated[
         show_default=False,
     ),
 ]
+
+
+_PICTURES = (".pdf", ".png", ".svg")
+
+
+def check_picture(path: Path | None) -> None:
+    """Raise ModelError for a picture that could not be drawn, before the work rather than after it."""
+    if path is None:
+        return
+    if path.suffix.lower() not in _PICTURES:
+        raise ModelError(f"`{path}` does not end in {', '.join(_PICTURES)}: choose one of them")
+    check_place(path)
+
+
+def check_place(path: Path) -> None:
+    """Raise ModelError for a file that could not be written, because there is no such directory."""
+    if not path.parent.is_dir():
+        raise ModelError(f"`{path}` cannot be written: there is no directory `{path.parent}`")
 
 
 @dataclass(frozen=True)

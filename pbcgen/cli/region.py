@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from pbcgen.control.attraction import Region
-    from pbcgen.control.region import Region as Ellipsoid
+    from pbcgen.control.ellipsoid import Ellipsoid
 
 
 def register(app: typer.Typer) -> None:
@@ -46,10 +46,10 @@ def run(model: str, *, boxes: int = 20_000, json: bool = False) -> Outcome:
         found = pipeline.region(report, boxes, tell)
         ellipsoid = None
         if found.status is not Status.PROVED:
-            from pbcgen.control.region import certified_region
+            from pbcgen.control.ellipsoid import certified_ellipsoid
 
             tell("ellipsoid of the linearised loop")
-            ellipsoid = certified_region(report.derivation)
+            ellipsoid = certified_ellipsoid(report.derivation)
     starts = report.loop is not None and found.contains(list(report.loop.initial), at_zero=True)
     document = {
         "design": report.design.name,

@@ -154,8 +154,7 @@ def _check(output: Path) -> None:
     """Raise ModelError for a page that could not be written, before the work rather than after it."""
     if output.suffix.lower() not in {".html", ".htm"}:
         raise ModelError(f"`{output}` does not end in .html: a page is an HTML file")
-    if not output.parent.is_dir():
-        raise ModelError(f"`{output}` cannot be written: there is no directory `{output.parent}`")
+    options.check_place(output)
 
 
 def _write(output: Path, text: str) -> None:

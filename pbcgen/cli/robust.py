@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -12,7 +14,7 @@ import typer
 from pbcgen.cli import options
 from pbcgen.cli.outcome import Outcome
 from pbcgen.cli.terminal import console as make_console
-from pbcgen.cli.terminal import indented
+from pbcgen.cli.terminal import indented, name_files, progress
 from pbcgen.errors import ModelError
 
 if TYPE_CHECKING:
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
 
     from pbcgen.run.robust import Disturbances, Robustness
 
-_PICTURES = (".pdf", ".png", ".svg")
 _DRAWN = 60
 
 ExecutorName = Literal["here", "local", "dask"]
@@ -83,22 +84,31 @@ def register(app: typer.Typer) -> None:
         from pbcgen.run.robust import Disturbances
 
         given = Disturbances(
-            spread,
-            _values(spread_of, "--spread-of"),
-            initial,
-            _values(noise, "--noise"),
-            _values(quantum, "--quantum"),
-            _values(friction, "--friction"),
-            _values(stiction, "--stiction"),
-            stribeck,
-            _values(dead_zone, "--dead-zone"),
-            delay,
-            share,
+            spread=spread,
+            spreads=_values(spread_of, "--spread-of"),
+            initial=initial,
+            noise=_values(noise, "--noise"),
+            quantum=_values(quantum, "--quantum"),
+            friction=_values(friction, "--friction"),
+            stiction=_values(stiction, "--stiction"),
+            stribeck=stribeck,
+            dead_zone=_values(dead_zone, "--dead-zone"),
+            delay=delay,
+            share=share,
         )
-        where = _Where(executor, workers, cluster)
-        settings = options.Settings(None, None, options.claims(allow))
-        how = {"runs": runs, "seed": seed, "tolerance": tolerance, "duration": duration}
-        return run(model, settings, given, how, where, output=output, plot=plot, json=json)
+        return run(
+            model,
+            options.Settings(allow=options.claims(allow)),
+            given,
+            _executor(executor, workers, cluster),
+            runs=runs,
+            seed=seed,
+            tolerance=tolerance,
+            duration=duration,
+            output=output,
+            plot=plot,
+            json=json,
+        )
 
 
 def _values(given: Sequence[str] | None, option: str) -> dict[str, float]:
@@ -115,41 +125,39 @@ def _values(given: Sequence[str] | None, option: str) -> dict[str, float]:
     return result
 
 
-class _Where:
-    """Which executor, opened as a context."""
+@contextlib.contextmanager
+def _executor(name: ExecutorName, workers: int | None, cluster: str | None) -> Iterator[Executor | None]:
+    """What runs the loops, while it is open; None for this process."""
+    from pbcgen.run.robust import dask_executor, local_executor
 
-    def __init__(self, name: ExecutorName, workers: int | None, cluster: str | None) -> None:
-        self.name, self.workers, self.cluster = name, workers, cluster
-
-    @contextlib.contextmanager
-    def open(self) -> Iterator[Executor | None]:
-        from pbcgen.run.robust import dask_executor, local_executor
-
-        if self.name == "here":
-            yield None
-        elif self.name == "local":
-            with local_executor(self.workers) as executor:
-                yield executor
-        else:
-            executor, close = dask_executor(self.cluster)
-            try:
-                yield executor
-            finally:
-                close()
+    if name == "here":
+        yield None
+    elif name == "local":
+        with local_executor(workers) as executor:
+            yield executor
+    else:
+        executor, close = dask_executor(cluster)
+        try:
+            yield executor
+        finally:
+            close()
 
 
 def run(
     model: str,
     settings: options.Settings,
     given: Disturbances,
-    how: dict[str, Any],
-    where: _Where,
+    opened: AbstractContextManager[Executor | None],
     *,
+    runs: int,
+    seed: int = 0,
+    tolerance: float = 0.05,
+    duration: float | None = None,
     output: Path | None = None,
     plot: Path | None = None,
     json: bool = False,
 ) -> Outcome:
-    """Run closed loops.
+    """Run closed loops with what ``given`` adds to them, on the executor that is open inside ``opened``.
 
     Raises:
         ModelError: the model or an option is not right.
@@ -160,33 +168,34 @@ def run(
     from pbcgen.cli.verdicts import too_short
     from pbcgen.run.robust import loops_of, robust
 
-    if plot is not None and (plot.suffix.lower() not in _PICTURES or not plot.parent.is_dir()):
-        raise ModelError(f"`{plot}` cannot be drawn: a .png, .svg or .pdf in an existing directory was expected")
+    options.check_picture(plot)
     if output is not None and output.suffix != ".npz":
         raise ModelError(f"`{output}` does not end in .npz: results are kept in this form")
-    design = settings.design(model)
-    report = pipeline.check(design)
-    package = pipeline.package(report, allow=settings.allow)
-    assert report.loop is not None
-    loops = loops_of(design, report.loop, package, given, seed=how["seed"], duration=how["duration"])
+    with progress("load") as tell:
+        design = settings.design(model)
+        report = pipeline.check(design, progress=tell)
+        package = pipeline.package(report, allow=settings.allow)
+        assert report.loop is not None
+        tell("compile the plant")
+        loops = loops_of(design, report.loop, package, given, seed=seed, duration=duration)
     names = [condition.name for condition in design.target.conditions]
-    with where.open() as executor, _bar(how["runs"]) as tell:
+    with opened as executor, _bar(runs) as count:
         found = robust(
-            loops,
-            how["runs"],
-            executor=executor,
-            tolerance=how["tolerance"],
-            target_names=names,
-            output=output,
-            progress=tell,
+            loops, runs, executor=executor, tolerance=tolerance, target_names=names, output=output, progress=count
         )
     if plot is not None:
         _draw(found, report, plot)
     name = design.name or "controller"
     worst = _worst_case(found, design)
-    document = _document(name, found, worst) if json else None
     remarks = too_short(report, loops.steps * loops.h) if found.share < 1 else []
-    return Outcome(lambda console: _show(console, name, found, worst, [*remarks, *_files(output, plot)]), document)
+
+    def show(console: Console) -> None:
+        _show(console, name, found, worst)
+        for remark in remarks:
+            console.print(remark)
+        name_files(console, Results=output, Picture=plot)
+
+    return Outcome(show, _document(name, found, worst) if json else None)
 
 
 @contextlib.contextmanager
@@ -241,8 +250,8 @@ def _document(name: str, found: Robustness, worst: dict[str, Any]) -> dict[str, 
         "converged": found.share,
         "tolerance": found.tolerance,
         "substeps": found.loops.substeps,
-        "settling": {"median": _median(found.settling), "worst": float(found.settling.max())},
-        "overshoot": {"median": _median(found.overshoot), "worst": float(found.overshoot.max())},
+        "settling": {"median": median(found.settling.tolist()), "worst": float(found.settling.max())},
+        "overshoot": {"median": median(found.overshoot.tolist()), "worst": float(found.overshoot.max())},
         "final": {
             target: {"mean": float(abs(found.final[:, k]).mean()), "worst": float(abs(found.final[:, k]).max())}
             for k, target in enumerate(found.target_names)
@@ -251,28 +260,17 @@ def _document(name: str, found: Robustness, worst: dict[str, Any]) -> dict[str, 
     }
 
 
-def _median(values: Any) -> float:
-    import numpy as np
-
-    return float(np.median(values))
-
-
 def _settling(found: Robustness) -> str:
     """The settling times of the runs that settle, and how many do not."""
     settled = [float(t) for t in found.settling if t < float("inf")]
     late = len(found.settling) - len(settled)
     if not settled:
         return "settling time: no run settles within 2 % of the initial error"
-    middle = sorted(settled)[len(settled) // 2]
     open_runs = f"; {late} runs do not settle" if late else ""
-    return f"settling time (2 %): median {middle:.4g} s, worst {max(settled):.4g} s{open_runs}"
+    return f"settling time (2 %): median {median(settled):.4g} s, worst {max(settled):.4g} s{open_runs}"
 
 
-def _files(output: Path | None, plot: Path | None) -> list[str]:
-    return [f"{what}: {path}" for path, what in ((output, "Results"), (plot, "Picture")) if path is not None]
-
-
-def _show(console: Console, name: str, found: Robustness, worst: dict[str, Any], remarks: Sequence[str]) -> None:
+def _show(console: Console, name: str, found: Robustness, worst: dict[str, Any]) -> None:
     console.print(f"{name}: {100 * found.share:.4g} % of {len(found.outcomes)} runs converge", style="bold")
     console.print(f"(within {100 * found.tolerance:g} % of the initial error; seed {found.loops.seed})\n")
     for k, target in enumerate(found.target_names):
@@ -285,5 +283,3 @@ def _show(console: Console, name: str, found: Robustness, worst: dict[str, Any],
     if worst["parameters"]:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in worst["parameters"].items())
         indented(console, f"with {values}")
-    for remark in remarks:
-        console.print(remark, soft_wrap=remark.startswith(("Results", "Picture")), highlight=False)

@@ -10,15 +10,12 @@ import typer
 from pbcgen.cli import options
 from pbcgen.cli.outcome import Outcome
 from pbcgen.cli.terminal import progress
-from pbcgen.errors import ModelError
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
     from pbcgen.pipeline import Simulation
-
-_PICTURES = (".pdf", ".png", ".svg")
 
 
 def register(app: typer.Typer) -> None:
@@ -61,8 +58,7 @@ def run(
     """
     from pbcgen import pipeline
 
-    if plot is not None:
-        _check_picture(plot)
+    options.check_picture(plot)
     with progress("load") as tell:
         design = settings.design(model)
         if duration is not None:
@@ -72,14 +68,6 @@ def run(
             tell("draw")
             _draw(simulation, plot)
     return Outcome(lambda console: _show(console, simulation, plot), _document(simulation, plot) if json else None)
-
-
-def _check_picture(path: Path) -> None:
-    """Raise ModelError for a picture that could not be written, before the simulation rather than after it."""
-    if path.suffix.lower() not in _PICTURES:
-        raise ModelError(f"`{path}` does not end in {', '.join(_PICTURES)}: choose one of them")
-    if not path.parent.is_dir():
-        raise ModelError(f"`{path}` cannot be written: there is no directory `{path.parent}`")
 
 
 def _draw(simulation: Simulation, path: Path) -> None:

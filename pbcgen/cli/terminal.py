@@ -10,6 +10,7 @@ import sys
 import textwrap
 import threading
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pbcgen.models.exact import plain
@@ -93,6 +94,13 @@ def indented(target: Console, text: str) -> None:
     from rich.padding import Padding
 
     target.print(Padding(text, (0, 0, 0, 2)), highlight=False)
+
+
+def name_files(target: Console, **files: Path | None) -> None:
+    """Say where the files are that were written, each behind what it holds."""
+    for what, path in files.items():
+        if path is not None:
+            target.print(f"{what}: {path}", soft_wrap=True)
 
 
 @contextlib.contextmanager

@@ -9,18 +9,18 @@ import typer
 
 from pbcgen.cli import options
 from pbcgen.cli.outcome import Outcome
-from pbcgen.cli.terminal import indented, progress
-from pbcgen.errors import EmitError, ModelError, NotProved
+from pbcgen.cli.terminal import indented, name_files, progress
+from pbcgen.errors import EmitError, NotProved
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from pbcgen.models.laws import Law
+    from pbcgen.tuning.trial import Response
     from pbcgen.tuning.tune import Attempt, Tuning
+    from pbcgen.tuning.tuning_problem import Wish
 
 RouteOption = Literal["lyapunov", "linearisation", "both"]
-
-_PICTURES = (".pdf", ".png", ".svg")
 
 
 def register(app: typer.Typer) -> None:
@@ -55,45 +55,42 @@ def register(app: typer.Typer) -> None:
         json: options.Json = False,
     ) -> Outcome:
         """Choose gains that are proved, from limits, sample period and a wish."""
-        wish: dict[str, Any] = {"route": route, "settling": settling, "overshoot": overshoot, "damping": damping}
-        wish |= {"margin": margin, "seed": seed, "effort": effort}
-        return run(model, options.Settings(None, sample_period), wish, output=output, plot=plot, json=json)
+        from pbcgen.models.exact import positive
+        from pbcgen.tuning.tuning_problem import Route, Wish
+
+        routes: tuple[Route, ...] = ("lyapunov", "linearisation") if route == "both" else (route,)
+        wish = Wish(routes, settling, overshoot, damping, positive(margin, "--margin"), seed, effort)
+        settings = options.Settings(sample_period=sample_period)
+        return run(model, settings, wish, output=output, plot=plot, json=json)
 
 
 def run(
     model: str,
     settings: options.Settings,
-    wish: dict[str, Any],
+    wish: Wish,
     *,
     output: Path | None = None,
     plot: Path | None = None,
     json: bool = False,
 ) -> Outcome:
-    """Tune a model.
+    """Tune a model; exit code 2 when the wish is not met.
 
     Raises:
         ModelError: the model or an option is not right.
         NotProved: no gains were found that pass.
         EmitError: the output exists already.
     """
-    from pbcgen.models.exact import positive
     from pbcgen.tuning.tune import tune
-    from pbcgen.tuning.tuning_problem import Route, Wish
 
-    if plot is not None and (plot.suffix.lower() not in _PICTURES or not plot.parent.is_dir()):
-        raise ModelError(f"`{plot}` cannot be drawn: a .png, .svg or .pdf in an existing directory was expected")
+    options.check_picture(plot)
     if output is not None and output.exists():
         raise EmitError(f"`{output}` exists already: choose another file")
-    chosen = dict(wish)
-    route = chosen.pop("route")
-    routes: tuple[Route, ...] = ("lyapunov", "linearisation") if route == "both" else (route,)
-    chosen["margin"] = positive(chosen["margin"], "--margin")
-    asked = Wish(routes=routes, **chosen)
     with progress("load") as tell:
-        tuning = tune(settings.design(model), asked, tell)
+        design = settings.design(model)
+        tuning = tune(design, wish, tell)
         if plot is not None:
             tell("draw")
-            _draw(tuning, settings.design(model), plot)
+            _draw(tuning, design, plot)
     if output is not None:
         output.write_text(_file(tuning), encoding="utf-8")
     return Outcome(
@@ -148,7 +145,7 @@ def _document(tuning: Tuning) -> dict[str, Any]:
     }
 
 
-def _response(found: Any) -> dict[str, Any] | None:
+def _response(found: Response | None) -> dict[str, Any] | None:
     if found is None:
         return None
     return {"settling": found.settling, "overshoot": found.overshoot, "final": found.final}
@@ -199,9 +196,7 @@ def _show(console: Console, tuning: Tuning, output: Path | None, plot: Path | No
     for line in tuning.chosen.unmet:
         console.print(f"NOT MET: {line}", style="bold red", soft_wrap=True)
     console.print(f"law={expression(tuning.design.law)},", style="green")
-    for path, what in ((output, "Law"), (plot, "Picture")):
-        if path is not None:
-            console.print(f"{what}: {path}", soft_wrap=True)
+    name_files(console, Law=output, Picture=plot)
     if tuning.chosen.unmet:
         console.print(
             "These gains are proved, but the wish is not met: wish for less, give wider limits, or try --effort"
@@ -212,7 +207,7 @@ def _show(console: Console, tuning: Tuning, output: Path | None, plot: Path | No
     )
 
 
-def _figures(found: Any) -> str:
+def _figures(found: Response) -> str:
     settled = f"settles in {found.settling:.4g} s" if found.settling < float("inf") else "does not settle"
     left = 100 * found.final if found.final > 1e-8 else 0.0
     return f"{settled}, overshoot {100 * found.overshoot:.3g} %, final error {left:.2g} %"

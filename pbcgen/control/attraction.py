@@ -21,8 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbcgen.control.derive import Derivation
 from pbcgen.control.landscape import Landscape
 from pbcgen.control.situation import Situation
+from pbcgen.control.stability import LYAPUNOV
 from pbcgen.passivity.shaping import shape_at
 from pbcgen.proof.boxes import Box, halves, lengths, longest_side
 from pbcgen.proof.claim import Status
@@ -123,6 +125,18 @@ def region_of_attraction(
         return _none("needs a Lyapunov function whose invariant set consists of equilibria")
     with precision(_BITS):
         return _grow(situation, Landscape(situation), _Budget(boxes, progress))
+
+
+def attracted_level_set(
+    found: Derivation, boxes: int = BOXES, progress: Callable[[str], None] | None = None
+) -> Region | None:
+    """:func:`region_of_attraction` of what was derived; None where that stopped before there was a closed loop."""
+    if found.situation is None:
+        return None
+    claims = {c.claim: c for c in found.claims}
+    by_lyapunov = claims["stable"].method == LYAPUNOV
+    everywhere = claims["globally-asymptotically-stable"].holds_everywhere
+    return region_of_attraction(found.situation, by_lyapunov, everywhere, boxes, progress)
 
 
 def _none(why: str) -> Region:

@@ -77,9 +77,8 @@ def named_numbers(
         else:
             is_exponent = operation in (ca.OP_POW, ca.OP_CONSTPOW) and isinstance(operands[1], float)
             below = operation == ca.OP_DIV and isinstance(operands[0], ca.SX)
-            second = (
-                ca.SX(operands[1]) if is_exponent else numbers.operand(operands[1], below)
-            )  # no exponent is a factor
+            # An exponent is no factor of a product: it stays a number.
+            second = ca.SX(operands[1]) if is_exponent else numbers.operand(operands[1], below)
             work[place] = ca.SX.binary(operation, numbers.operand(operands[0]), second)
     return (results, numbers.parameters) if numbers.changed else (list(values), parameters)
 

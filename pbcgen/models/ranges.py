@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pbcgen.errors import ModelError
 from pbcgen.models.exact import Number, exact
 from pbcgen.models.expressions import suggestion
 from pbcgen.models.gains import Vector, is_diagonal
 from pbcgen.models.laws import Law, gains
-
-if TYPE_CHECKING:
-    from pbcgen.models.design import Target
+from pbcgen.models.target import Target
 
 #: The gains that a running controller cannot change, and why.
 _FIXED_GAINS = {"Upsilon": "it mixes the channels of eta"}
@@ -40,17 +38,17 @@ def target_box(given: Mapping[str, Sequence[Number]] | None, target: Target) -> 
 
     Raises ModelError for a name that the target does not have, and for a range that does not hold the target's value.
     """
+    given = given or {}
     values = {c.name: c.value for c in target.conditions}
-    for name in given or {}:
+    for name in given:
         if name not in values:
             raise ModelError(
                 f"target_box names `{name}`, which is no condition of the target: {suggestion(name, values)}"
             )
     return {
-        name: _holding(_range((given or {})[name], what), [value], what, "the target")
+        name: _range(given[name], f"target_box `{name}`", value, "the target")
         for name, value in values.items()
-        if name in (given or {})
-        for what in [f"target_box `{name}`"]
+        if name in given
     }
 
 
@@ -59,9 +57,10 @@ def gain_ranges(given: Mapping[str, RangeLike] | None, law: Law, m: int) -> dict
 
     Raises ModelError for a gain that the law does not have or that cannot change, and for a range without its value.
     """
+    given = given or {}
     own = gains(law.resolve(m))
     free = [name for name in own if name not in _FIXED_GAINS]
-    for name in given or {}:
+    for name in given:
         if name in _FIXED_GAINS and name in own:
             why = _FIXED_GAINS[name]
             raise ModelError(f"gain_ranges names `{name}`: {why} and cannot change at run time; {', '.join(free)} can")
@@ -70,7 +69,7 @@ def gain_ranges(given: Mapping[str, RangeLike] | None, law: Law, m: int) -> dict
     return {
         name: _ranges(given[name], _entries(name, own), f"gain_ranges `{name}`", zero=name in _MAY_VANISH)
         for name in free
-        if given and name in given
+        if name in given
     }
 
 
@@ -92,7 +91,7 @@ def _ranges(given: Any, value: Vector, what: str, zero: bool) -> tuple[Range, ..
     rows = list(given) if _is_pairs(given) else [given] * len(value)
     if len(rows) != len(value):
         raise ModelError(f"{what} has {len(rows)} ranges: one, or {len(value)} (one for each input), were expected")
-    ranges = tuple(_holding(_range(row, what), [v], what, "the gain") for row, v in zip(rows, value, strict=True))
+    ranges = tuple(_range(row, what, v, "the gain") for row, v in zip(rows, value, strict=True))
     if any(r.lo < 0 or (r.lo == 0 and not zero) for r in ranges):
         raise ModelError(
             f"{what} reaches below zero: this gain is not negative"
@@ -106,20 +105,15 @@ def _is_pairs(given: Any) -> bool:
     return isinstance(given, list | tuple) and bool(given) and all(isinstance(row, list | tuple) for row in given)
 
 
-def _range(given: Any, what: str) -> Range:
+def _range(given: Any, what: str, value: Fraction, of: str) -> Range:
+    """A pair as a range that holds the value that ``of`` has; the messages call it ``what``."""
     if isinstance(given, str) or not isinstance(given, Sequence) or len(given) != 2:
         raise ModelError(f"{what} is {given!r}: a pair (lowest, highest) was expected")
     lo, hi = (exact(v, what) for v in given)
     if not lo < hi:
         raise ModelError(f"{what} is ({given[0]}, {given[1]}): the lowest value must be below the highest")
+    if not lo <= value <= hi:
+        raise ModelError(
+            f"{what} is ({float(lo):g}, {float(hi):g}): it must hold the value that {of} has, {float(value):g}"
+        )
     return Range(lo, hi)
-
-
-def _holding(found: Range, values: Sequence[Fraction], what: str, of: str) -> Range:
-    for value in values:
-        if not found.lo <= value <= found.hi:
-            raise ModelError(
-                f"{what} is ({float(found.lo):g}, {float(found.hi):g}): "
-                f"it must hold the value that {of} has, {float(value):g}"
-            )
-    return found

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.models.design import Condition, Design
+from pbcgen.models.design import Design
+from pbcgen.models.target import Condition
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.linear import reduce_rows

@@ -18,7 +18,8 @@ import casadi as ca
 from flint import fmpq_mpoly
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.models.design import Condition, Design
+from pbcgen.models.design import Design
+from pbcgen.models.target import Condition
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.target_branch import LARGEST, Branch, find_branch
 from pbcgen.symbolic.exact_walk import evaluate

@@ -286,11 +286,7 @@ def _coupled(diagonal: ca.SX, given: Matrix) -> ca.SX:
 
 def entries(law: Law) -> dict[str, tuple[Fraction, ...]]:
     """The gains by name, matrices by their diagonals; Upsilon is not a gain to be chosen."""
-    found = {}
-    for name, value in gains(law).items():
-        if name != "Upsilon":
-            found[name] = _diagonal(value)
-    return found
+    return {name: _diagonal(value) for name, value in gains(law).items() if name != "Upsilon"}
 
 
 def _diagonal(value: Vector | Matrix) -> tuple[Fraction, ...]:

@@ -18,10 +18,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from pbcgen.control.amplitudes import Room
-from pbcgen.control.attraction import region_of_attraction
+from pbcgen.control.attraction import attracted_level_set
 from pbcgen.control.derive import Derivation, derive
-from pbcgen.control.region import Region, certified_region
-from pbcgen.control.stability import LYAPUNOV
+from pbcgen.control.ellipsoid import Ellipsoid, certified_ellipsoid
 from pbcgen.errors import NotProved
 from pbcgen.models.design import Design
 from pbcgen.models.gains import Matrix, Vector, is_diagonal
@@ -36,8 +35,10 @@ from pbcgen.tuning.tuning_problem import PUSH, Problem, Route, Wish, shaped, the
 Progress = Callable[[str], None] | None
 
 #: Premises that the Lyapunov route must keep beside those that code needs.
-_LYAPUNOV_CLAIMS = ("assumption-1", "passive-output", "gradient-condition", "hessian-condition", "gain-definiteness",
-                    "kc-bound", "assumption-3", "theta")  # fmt: skip
+_LYAPUNOV_CLAIMS = (
+    *("assumption-1", "passive-output", "gradient-condition", "hessian-condition"),
+    *("gain-definiteness", "kc-bound", "assumption-3", "theta"),
+)
 
 #: A response must be better by this much (about 10 % of the settling time) to be preferred to a stronger proof.
 _STRONGER = 0.1
@@ -65,20 +66,20 @@ class Attempt:
         active: the constraints that stop the gains from going further.
         notes: what the route can say about its limits.
         claims: of the derivation with these gains.
-        region: a certified ellipsoid of attraction where no level set of the storage was found, or None.
+        region: a certified ellipsoid of attraction where no level set of the storage was found.
         unmet: what was wished and is not reached.
     """
 
     route: Route
-    law: Law | None
-    response: Response | None
-    abscissa: float | None
-    radius: float | None
-    floor: float | None
-    active: tuple[str, ...]
-    notes: tuple[str, ...]
+    law: Law | None = None
+    response: Response | None = None
+    abscissa: float | None = None
+    radius: float | None = None
+    floor: float | None = None
+    active: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     claims: tuple[Claim, ...] = ()
-    region: Region | None = None
+    region: Ellipsoid | None = None
     unmet: tuple[str, ...] = ()
 
 
@@ -151,7 +152,7 @@ def tune(design: Design, wish: Wish | None = None, progress: Progress = None) ->
 def _attempt(problem: Problem, route: Route, before: Response, seeds: Sequence[Law], progress: Progress) -> Attempt:
     if route == "lyapunov" and isinstance(problem.law, Integral):
         note = "Prop. pro:int is a linearisation: there is no Lyapunov route for the law integral"
-        return Attempt(route, None, None, None, None, None, (), (note,))
+        return Attempt(route, notes=(note,))
     if progress:
         progress(f"lowest abscissa, {route}")
     limit = problem.duration if problem.wish.settling or not math.isfinite(before.settling) else before.settling * 1.5
@@ -181,7 +182,7 @@ def _attempt(problem: Problem, route: Route, before: Response, seeds: Sequence[L
             return _described(problem, route, rounded, derived, floor)
         reason = failed
     notes = (f"the candidates failed at {reason}",) if judge.seen else (reason,)
-    return Attempt(route, None, None, None, None, floor, (), notes)
+    return Attempt(route, floor=floor, notes=notes)
 
 
 def _failed(problem: Problem, route: Route, derived: Derivation) -> str | None:
@@ -236,16 +237,16 @@ def _described(problem: Problem, route: Route, law: Law, derived: Derivation, fl
         notes.append(f"the storage argument covers sample periods below {float(periods.largest):.4g} s")
     return Attempt(
         route,
-        law,
-        reached,
-        None if figures is None else figures.abscissa,
-        None if figures is None else figures.radius,
-        floor,
-        tuple(active),
-        tuple(notes),
-        derived.claims,
-        region,
-        open_wishes,
+        law=law,
+        response=reached,
+        abscissa=None if figures is None else figures.abscissa,
+        radius=None if figures is None else figures.radius,
+        floor=floor,
+        active=tuple(active),
+        notes=tuple(notes),
+        claims=derived.claims,
+        region=region,
+        unmet=open_wishes,
     )
 
 
@@ -259,17 +260,13 @@ def _left(problem: Problem, law: Law) -> str:
     return f"{100 * problem.respond(law, problem.horizon, problem.push).final:.2g} %"
 
 
-def _region(derived: Derivation, route: Route) -> tuple[Region | None, str]:
+def _region(derived: Derivation, route: Route) -> tuple[Ellipsoid | None, str]:
     """The largest region that is certified: a level set of the storage, else an ellipsoid of the linearisation."""
-    claims = {c.claim: c for c in derived.claims}
-    if derived.situation is not None:
-        whole = claims["globally-asymptotically-stable"].holds_everywhere
-        by_storage = claims["stable"].method == LYAPUNOV
-        found = region_of_attraction(derived.situation, by_storage, whole, _REGION_BOXES)
-        if found.status is Status.PROVED:
-            return None, f"region of attraction (continuous loop): {found.evidence}"
+    found = attracted_level_set(derived, _REGION_BOXES)
+    if found is not None and found.status is Status.PROVED:
+        return None, f"region of attraction (continuous loop): {found.evidence}"
     if route == "linearisation":
-        ellipsoid = certified_region(derived)
+        ellipsoid = certified_ellipsoid(derived)
         if ellipsoid is not None:
             return ellipsoid, ellipsoid.sentence
     return None, "no region of attraction could be certified"
@@ -299,6 +296,10 @@ def _active(problem: Problem, route: Route, law: Law) -> list[str]:
 
 
 def _shaped_with(problem: Problem, law: Law, clearance: Fraction) -> bool:
-    factors = {name: tuple(v / clearance for v in values) for name, values in entries(base_law(law)).items()
-               if name in ("beta", "beta_c", "K_c")}  # fmt: skip
-    return shaped(problem, rebuilt(base_law(law), {**entries(base_law(law)), **factors}))
+    """Whether the gains meet the Hessian condition and the bound on K_c with so much to spare."""
+    base = base_law(law)
+    softened = {
+        name: tuple(v / clearance for v in values) if name in ("beta", "beta_c", "K_c") else values
+        for name, values in entries(base).items()
+    }
+    return shaped(problem, rebuilt(base, softened))

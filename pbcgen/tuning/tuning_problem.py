@@ -142,11 +142,23 @@ class Problem:
         given_loop = spectrum.figures(family.loop(law), design.sample_period, wish.margin)
         holds = given_loop is not None and given_loop.radius < 1 and given_loop.abscissa < 0
         origin = law if holds else natural_scale(family, law, design.sample_period, length)
+        duration = min(duration, 2 * length)
         return Problem(
-            design, wish, found, law, origin, trial, family, spectrum, shape, structure, limits, amplitudes,
-            min(duration, length * 2),
-            max(min(duration, length * 2), length),
-        )  # fmt: skip
+            design=design,
+            wish=wish,
+            derivation=found,
+            law=law,
+            origin=origin,
+            trial=trial,
+            family=family,
+            spectrum=spectrum,
+            shape=shape,
+            structure=structure,
+            limits=limits,
+            amplitudes=amplitudes,
+            duration=duration,
+            horizon=max(duration, length),
+        )
 
     @property
     def h(self) -> Fraction:

@@ -9,7 +9,7 @@ from flint import arb, arb_mat
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical
 from pbcgen.control.derive import derive
-from pbcgen.control.region import _decreases, certified_region
+from pbcgen.control.ellipsoid import _decreases, certified_ellipsoid
 from pbcgen.control.saturated_loop import saturated_loop
 from pbcgen.models.loader import load
 from pbcgen.run.simulate import simulate_continuous
@@ -21,7 +21,7 @@ from tests.control.test_sampled import two_masses
 @pytest.fixture(scope="module")
 def pendulum():
     found = derive(load("elastic_pendulum"))
-    return found, certified_region(found)
+    return found, certified_ellipsoid(found)
 
 
 def test_the_region_is_certified_and_not_vacuous(pendulum):
@@ -70,7 +70,7 @@ def falls(found, region, lift):
 
 def test_two_inputs_with_full_gains_and_linear_masses():
     found = derive(two_masses([[7, 2], [2, 9]], [[3, 1], [1, 2]]))
-    region = certified_region(found)
+    region = certified_ellipsoid(found)
     # only the saturations bend: the ellipsoid reaches beyond their linear part, z beta > 1
     assert region.reach[4] * 5 > 2
     assert region.start >= 1
@@ -80,14 +80,14 @@ def test_two_inputs_with_full_gains_and_linear_masses():
 def test_without_the_solver_a_region_is_still_certified(monkeypatch):
     monkeypatch.setattr(common_storage, "solver_available", lambda: False)
     found = derive(two_masses(7, 3))
-    region = certified_region(found)
+    region = certified_ellipsoid(found)
     assert min(region.inside) > 1e-3
     falls(found, region, np.vstack([np.eye(4), np.eye(2, 4)]))
 
 
 def test_an_unstable_loop_has_no_region():
     design = load("elastic_pendulum").with_(law=DynamicExtension(alpha=3, beta="0.1", K_c=12, R_c=1))
-    assert certified_region(derive(design)) is None
+    assert certified_ellipsoid(derive(design)) is None
 
 
 def test_a_region_beyond_what_decreases_is_not_certified(pendulum):
@@ -112,7 +112,7 @@ def test_a_region_stays_inside_the_declared_domain():
         G=ca.SX.eye(2),
         domain={"q_0": (0.75, 5)},
     )
-    wide, bounded = (certified_region(derive(d)) for d in (design, design.with_(system=narrow, target=[1, 1])))
+    wide, bounded = (certified_ellipsoid(derive(d)) for d in (design, design.with_(system=narrow, target=[1, 1])))
     assert wide.reach[0] > 0.25 >= bounded.reach[0] > 0.2
 
 
@@ -125,4 +125,4 @@ def test_a_gamma_with_a_fraction_that_is_no_decimal_has_a_region():
     law = DynamicExtension(alpha=2, beta=3, K_c=4, R_c=1)
     found = derive(Design(system, {"y": "0.3"}, law, sample_period="1e-3", name="thirds"))
     assert "/3" in str(found.derived["gamma"])
-    assert certified_region(found) is not None
+    assert certified_ellipsoid(found) is not None

@@ -1,4 +1,4 @@
-"""A region of attraction that is certified: an ellipsoid in which one quadratic storage decreases.
+"""An ellipsoid that is certified as a region of attraction: one quadratic storage decreases in it.
 
 With z the deviation of the plant and the arguments of the saturations, ``z' = F(z, t)``, ``t_i = tanh(beta_i z_i)``. On
 the ellipsoid ``|z_i| <= Z_i``, so t_i = k_i beta_i z_i with k_i in [tanh(beta_i Z_i) / (beta_i Z_i), 1] (a sector), and
@@ -56,7 +56,7 @@ _GROWTH = 2.0
 
 
 @dataclass(frozen=True)
-class Region:
+class Ellipsoid:
     """``{z : z^T P z <= level}``, z the deviation of the plant and the arguments of the law's tanh terms.
 
     Attributes:
@@ -101,7 +101,7 @@ class Region:
         return f"certified region of attraction (continuous loop{rest}): an ellipsoid that reaches {widths}{start}"
 
 
-def certified_region(found: Derivation) -> Region | None:
+def certified_ellipsoid(found: Derivation) -> Ellipsoid | None:
     """The largest ellipsoid that was certified around x*; None without one, and for the law `passive-output`.
 
     The coordinates are x, ``z_c = gamma~ + x_c``, ``z_l = Upsilon eta~ + K_l x_l`` and psi: each saturation depends on
@@ -163,7 +163,7 @@ def _modal(loop: SaturatedLoop, at_target: Slope) -> Array:
     return inverse_of(basis) * float(np.max(arguments))
 
 
-def _described(found: Derivation, loop: SaturatedLoop, factor: Array, scale: float) -> Region:
+def _described(found: Derivation, loop: SaturatedLoop, factor: Array, scale: float) -> Ellipsoid:
     inverse = np.linalg.inv(factor)
     reach = tuple(float(v) * scale for v in np.linalg.norm(inverse, axis=1))
     along = float(np.linalg.norm(factor @ loop.start))
@@ -171,7 +171,7 @@ def _described(found: Derivation, loop: SaturatedLoop, factor: Array, scale: flo
     units = tuple(system.units.get(name, "") for name in system.state_names)
     P = factor.T @ factor
     inside = None if loop.lift is None else tuple(float(v) for v in scale * loop.cut(factor))
-    return Region(loop.names, P, scale**2, reach, units, inside, scale / along if along > 0 else None)
+    return Ellipsoid(loop.names, P, scale**2, reach, units, inside, scale / along if along > 0 else None)
 
 
 # --- the proposals -----------------------------------------------------------------------------------------------
