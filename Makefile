@@ -63,7 +63,7 @@ generated-%: env
 	@$(PBCGEN) generate $* -o generated/$*
 
 figures: env ## draw the figures of docs/paper.md again, from the generated C
-	@$(BIN)/python -m pbcgen.report.figures docs/images/paper
+	@$(BIN)/python -m pbcgen.report.paper_figures docs/images/paper
 
 docs: env ## build the documentation in build/site; a warning is an error
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet

@@ -32,7 +32,7 @@ from pbcgen.proof.claim import ELSEWHERE, EMISSION_CLAIMS, Claim, Status
 
 if TYPE_CHECKING:
     from pbcgen.control.attraction import Region
-    from pbcgen.emit.figures import Figures
+    from pbcgen.emit.step_cost import StepCost
     from pbcgen.run.simulate import Trajectory
     from pbcgen.run.validate import Validation
 
@@ -193,12 +193,12 @@ def package(
     *,
     prefix: str | None = None,
     allow: Sequence[str] = (),
-    figures: Sequence[Figures] = (),
+    costs: Sequence[StepCost] = (),
     extras: Extras | None = None,
 ) -> Package:
     """The C package of a checked design. Raises NotProved when a claim that it needs is open.
 
-    ``figures`` are what a step of it costs on targets, ``extras`` functions on demand.
+    ``costs`` are what a step of it takes on targets, ``extras`` functions on demand.
     """
     blocking = report.blocking(allow)
     if report.unwritable:
@@ -214,22 +214,22 @@ def package(
         delay=report.design.delay,
         jitter=report.design.jitter,
     )
-    return render(report.control, provenance, prefix, {"certificate.json": certificate(report)}, figures, extras)
+    return render(report.control, provenance, prefix, {"certificate.json": certificate(report)}, costs, extras)
 
 
-def measured(report: Report, rendered: Package, names: Sequence[str], progress: Progress = None) -> list[Figures]:
+def measured(report: Report, rendered: Package, names: Sequence[str], progress: Progress = None) -> list[StepCost]:
     """What a step of the package costs on the targets of these names. Raises ToolchainError if a tool is missing."""
     from pbcgen.run.emulate import measure
     from pbcgen.run.targets import target
 
     assert report.control is not None
     assert report.loop is not None
-    figures = []
+    costs = []
     for name in dict.fromkeys(names):
         if progress:
             progress(f"emulate {name}")
-        figures.append(measure(report.control, rendered.files, report.loop, target(name)))
-    return figures
+        costs.append(measure(report.control, rendered.files, report.loop, target(name)))
+    return costs
 
 
 def _with_tanh(report: Report, tanh: Tanh | None) -> Report:
@@ -294,8 +294,8 @@ def generate(
     report = _with_tanh(check(design, progress), tanh)
     rendered = package(report, prefix=prefix, allow=allow, extras=extras)
     if targets:
-        figures = measured(report, rendered, targets, progress)
-        rendered = package(report, prefix=prefix, allow=allow, figures=figures, extras=extras)
+        costs = measured(report, rendered, targets, progress)
+        rendered = package(report, prefix=prefix, allow=allow, costs=costs, extras=extras)
     rendered.write(directory)
     return Generated(rendered, report, directory)
 

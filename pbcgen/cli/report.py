@@ -142,8 +142,8 @@ def _package(report: Report, settings: options.Settings, wishes: Wishes, tell: C
     rendered = pipeline.package(report, allow=settings.allow)
     if not wishes.targets:
         return rendered
-    figures = pipeline.measured(report, rendered, wishes.targets, tell)
-    return pipeline.package(report, allow=settings.allow, figures=figures)
+    costs = pipeline.measured(report, rendered, wishes.targets, tell)
+    return pipeline.package(report, allow=settings.allow, costs=costs)
 
 
 def _document(report: Report, output: Path, size: int) -> dict[str, Any]:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from pbcgen.run.robust import Disturbances, Robustness
 
-_DRAWN = 60
 
 ExecutorName = Literal["here", "local", "dask"]
 
@@ -166,6 +165,8 @@ def run(
     """
     from pbcgen import pipeline
     from pbcgen.cli.verdicts import too_short
+    from pbcgen.report.comparison import plot_robustness
+    from pbcgen.report.plots import save
     from pbcgen.run.robust import loops_of, robust
 
     options.check_picture(plot)
@@ -184,7 +185,7 @@ def run(
             loops, runs, executor=executor, tolerance=tolerance, target_names=names, output=output, progress=count
         )
     if plot is not None:
-        _draw(found, report, plot)
+        save(plot_robustness(design, report.loop, found), plot)
     name = design.name or "controller"
     worst = _worst_case(found, design)
     remarks = too_short(report, loops.steps * loops.h) if found.share < 1 else []
@@ -210,23 +211,6 @@ def _bar(total: int) -> Iterator[Callable[[int, int], None]]:
     with Progress(console=target, transient=True) as bar:
         task = bar.add_task("closed loops", total=total)
         yield lambda done, of: bar.update(task, completed=done)
-
-
-def _draw(found: Robustness, report: Any, path: Path) -> None:
-    from pbcgen.report.comparison import plot_robustness
-    from pbcgen.report.plots import save
-    from pbcgen.run.trajectories import trace
-
-    design, loop = report.design, report.loop
-    wanted = [c.name for c in design.target.conditions if c.name in loop.state_names][:4] or list(loop.state_names[:3])
-    columns = [1 + loop.state_names.index(name) for name in wanted]
-    targets = [float(loop.x_star[c - 1]) for c in columns]
-    count = len(found.outcomes)
-    shown = [0, *range(1, min(count, _DRAWN)), found.worst]
-    runs = [trace(found.loops, k) for k in shown]
-    title = f"{design.name}: {100 * found.share:.4g} % of {count} runs converge"
-    figure = plot_robustness(runs, columns, wanted, targets, found.relative, found.settling, found.tolerance, title)
-    save(figure, path)
 
 
 def _worst_case(found: Robustness, design: Any) -> dict[str, Any]:

@@ -113,7 +113,7 @@ def _draw(tuning: Tuning, design: Any, path: Path) -> None:
     from pbcgen.control.derive import derive
     from pbcgen.report.comparison import plot_tuning
     from pbcgen.report.plots import save
-    from pbcgen.tuning.trial import BAND, Trial, response
+    from pbcgen.tuning.trial import Trial
 
     found = derive(design)
     assert found.point is not None
@@ -121,14 +121,7 @@ def _draw(tuning: Tuning, design: Any, path: Path) -> None:
     assert found.law is not None
     trial = Trial(found.plant, found.point, found.gamma, found.eta, design, found.law)
     after = tuning.design.law.resolve(design.system.m, None if found.eta is None else int(found.eta.numel()))
-    runs = [trial.run(law, tuning.duration) for law in (found.law, after)]
-    names = [condition.name for condition in design.target.conditions]
-    ends = (response(runs[0]).settling, response(runs[1]).settling)
-    (one, two) = ((run.times, run.errors) for run in runs)
-    limits = [(None if a is None else float(a), None if b is None else float(b)) for a, b in design.input_set.intervals]
-    inputs = (runs[0].inputs, runs[1].inputs)
-    title = f"{design.name}: before and after tuning"
-    save(plot_tuning(one, two, names, BAND, ends, title, inputs, design.system.input_names, limits), path)
+    save(plot_tuning(design, *(trial.run(law, tuning.duration) for law in (found.law, after))), path)
 
 
 def _document(tuning: Tuning) -> dict[str, Any]:

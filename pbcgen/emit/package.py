@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from pbcgen.emit.figures import Figures
+    from pbcgen.emit.step_cost import StepCost
 
 MANIFEST: Final = "manifest.json"
 
@@ -91,18 +91,18 @@ def render(
     provenance: Provenance,
     prefix: str | None = None,
     extra_files: Mapping[str, str] | None = None,
-    figures: Sequence[Figures] = (),
+    costs: Sequence[StepCost] = (),
     extras: Extras | None = None,
 ) -> Package:
     """The package of ``law``. ``extra_files`` (name -> text) join it and its manifest: the certificate.
 
-    ``figures``, if measured, go into README and manifest. ``extras`` are functions on demand.
+    ``costs``, if measured, go into README and manifest. ``extras`` are functions on demand.
 
     Raises EmitError for what cannot be written in C: a constant that the precision cannot hold, a prefix that is no
     identifier; UnsupportedOperation for an operation without a C form.
     """
     program = program_of(law, package_prefix(prefix, law.name), extras or Extras())
-    context = _context(law, provenance, program) | {"figures": figures}
+    context = _context(law, provenance, program) | {"costs": costs}
     names = {
         f"{program.prefix}.h": "header.h.j2",
         f"{program.prefix}.c": "source.c.j2",
@@ -122,7 +122,7 @@ def render(
         if name in files or name == MANIFEST or not _is_plain_name(name):
             raise EmitError(f"the extra file `{name}` cannot join the package: choose another name")
         files[name] = text
-    files[MANIFEST] = _manifest(law, provenance, program, files, figures)
+    files[MANIFEST] = _manifest(law, provenance, program, files, costs)
     return Package(program.prefix, dict(sorted(files.items())), program.renamed)
 
 
@@ -229,7 +229,7 @@ def _manifest(
     provenance: Provenance,
     program: Program,
     files: Mapping[str, str],
-    figures: Sequence[Figures],
+    costs: Sequence[StepCost],
 ) -> str:
     """The machine-readable description; it lists every file but itself."""
     document = {
@@ -260,7 +260,7 @@ def _manifest(
         "solves": [_solve(solve) for solve in law.solves],
         "constants": {"state_limit": program.constants.state_limit},
         "memory": _memory(law, program),
-        "figures": [f.as_json() for f in figures],
+        "figures": [cost.as_json() for cost in costs],
         "tanh": law.tanh,
         "verdicts": [{"claim": c, "status": s, "domain": d} for c, s, d in provenance.verdicts],
         "allowed": [{"claim": claim, "meaning": wording.unproved(claim)} for claim in provenance.allowed],

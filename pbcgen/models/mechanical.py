@@ -21,7 +21,8 @@ from pbcgen.models.expressions import (
     symbols,
     vanishes_at_samples,
 )
-from pbcgen.models.inertia import Factors, inverse, named_constants, solve, squares, sum_of_factors
+from pbcgen.models.factors import Factors, given_factors, squares, sum_of_factors
+from pbcgen.models.inertia import inverse, named_constants, solve
 from pbcgen.models.numbers import named, named_numbers
 from pbcgen.models.parameters import Parameters
 
@@ -95,7 +96,7 @@ class Mechanical:
         if q.numel() != p.numel():
             raise ModelError(f"there are {q.numel()} positions q and {p.numel()} momenta p: give one momentum for each")
         taken = [*names(q), *names(p), *([inputs] if isinstance(inputs, str) else inputs or [])]
-        factors = _factors(M, q.numel())
+        factors = given_factors(M, q.numel())
         if factors:
             parts, parameters = named_numbers([part for pair in factors for part in pair], "M", parameters, taken)
             factors = tuple(zip(parts[::2], parts[1::2], strict=True))
@@ -185,25 +186,6 @@ def input_symbols(inputs: Sequence[str] | None, m: int) -> ca.SX:
     if len(chosen) != m:
         raise ModelError(f"`inputs` has {len(chosen)} names, the input matrix has {m} columns")
     return ca.vertcat(*[ca.SX.sym(name) for name in chosen])
-
-
-def _factors(M: Any, n: int) -> Factors:
-    """The pairs (J_i, W_i) of an inertia that is given by them, checked; none if it is not."""
-    if not isinstance(M, list | tuple) or not M:
-        return ()
-    if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in M):
-        return ()
-    if n == 2 and not any(isinstance(entry, list | tuple) or ca.SX(entry).numel() > 1 for pair in M for entry in pair):
-        return ()  # the two rows of a matrix
-    factors = []
-    for k, (J, W) in enumerate(M, start=1):
-        jacobian = expression(J, f"the factor J_{k} of M")
-        jacobian = shaped(jacobian, (jacobian.shape[0], n), f"the factor J_{k} of M")
-        weight = expression(W, f"the weight W_{k} of M")
-        size = jacobian.shape[0]
-        weight = weight * ca.SX.eye(size) if weight.is_scalar() else weight
-        factors.append((ca.sparsify(jacobian), ca.sparsify(square(weight, size, f"the weight W_{k} of M"))))
-    return tuple(factors)
 
 
 def _mechanics(

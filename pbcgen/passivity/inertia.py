@@ -13,7 +13,7 @@ import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.affine import Mechanics
-from pbcgen.models.inertia import sum_of_factors
+from pbcgen.models.factors import sum_of_factors
 from pbcgen.passivity.construction import same_formulas
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.elimination import definite

@@ -2,122 +2,91 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pbcgen.report.plots import COLOURS
+from pbcgen.law.closed_loop import ClosedLoop
+from pbcgen.models.design import Design
+from pbcgen.report.plots import COLOURS, STYLE
+from pbcgen.run.robust import Robustness
+from pbcgen.run.trajectories import trace
+from pbcgen.tuning.trial import BAND, Run, response
 
 Array = NDArray[np.float64]
 
 
-def _rc() -> Any:
-    return dict(_STYLE)
+#: Runs beside the nominal and the worst one that are drawn.
+_DRAWN = 60
 
 
-_STYLE = {"font.size": 12, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
+def plot_tuning(design: Design, before: Run, after: Run) -> Figure:
+    """The target signals and the inputs of two trial runs of a design: with its own gains, and with others.
 
-
-def plot_tuning(
-    before: tuple[Array, Array],
-    after: tuple[Array, Array],
-    names: Sequence[str],
-    band: float,
-    settling: tuple[float, float],
-    title: str,
-    inputs: tuple[Array, Array],
-    input_names: Sequence[str],
-    limits: Sequence[tuple[float | None, float | None]],
-) -> Figure:
-    """The target signals and the inputs before and after tuning.
-
-    Args:
-        before: times (N,) in seconds and errors (N, k) of the target signals.
-        after: the same with the new gains.
-        names: of the signals.
-        band: share of the initial error that counts as settled.
-        settling: times before and after, seconds; infinity where there is none.
-        title: above the panels.
-        inputs: (N - 1, m) before and after: held over each sample period.
-        input_names: m names.
-        limits: (lo, hi) of each input; None is unbounded.
+    The target signals are drawn as errors, with the band in which they count as settled.
     """
-    runs = tuple(zip((before, after), inputs, ("before", "after"), (COLOURS[1], COLOURS[0]), settling, strict=True))
-    count = len(names)
-    with mpl.rc_context(rc=_rc()):
-        figure = Figure(figsize=(16, 9), dpi=100, layout="constrained")
-        figure.suptitle(title, fontsize=15, x=0.012, ha="left")
+    names, inputs = [c.name for c in design.target.conditions], design.system.input_names
+    runs = [
+        (run, label, colour, response(run).settling)
+        for run, label, colour in ((before, "before", COLOURS[1]), (after, "after", COLOURS[0]))
+    ]
+    with mpl.rc_context(STYLE):
+        figure = _figure(f"{design.name}: before and after tuning")
         for k, name in enumerate(names):
-            axes = figure.add_subplot(count, 2, 2 * k + 1)
-            width = band * max(abs(before[1][0, k]), 1e-300)
+            axes = figure.add_subplot(len(names), 2, 2 * k + 1)
+            width = BAND * max(abs(before.errors[0, k]), 1e-300)
             axes.axhspan(-width, width, color="#808080", alpha=0.15, linewidth=0)
-            for (times, errors), _, label, colour, end in runs:
-                legend = f"{label}: settled at {end:.4g} s" if np.isfinite(end) else f"{label}: not settled"
-                axes.plot(times, errors[:, k], color=colour, label=legend, linewidth=1.8)
-                if np.isfinite(end):
-                    axes.axvline(end, color=colour, linestyle=":", linewidth=1.2)
+            for run, label, colour, settling in runs:
+                settled = bool(np.isfinite(settling))
+                legend = f"{label}: settled at {settling:.4g} s" if settled else f"{label}: not settled"
+                axes.plot(run.times, run.errors[:, k], color=colour, label=legend, linewidth=1.8)
+                if settled:
+                    axes.axvline(settling, color=colour, linestyle=":", linewidth=1.2)
             axes.set_ylabel(f"error of {name}")
             axes.margins(x=0)
             axes.legend(loc="best")
         axes.set_xlabel("time [s]")
-        for k, name in enumerate(input_names):
-            axes = figure.add_subplot(len(input_names), 2, 2 * k + 2)
-            for (times, _), u, _, colour, _ in runs:
-                axes.step(times[:-1], u[:, k], color=colour, linewidth=1.4, where="post")
-            for bound in limits[k]:
+        for k, name in enumerate(inputs):
+            axes = figure.add_subplot(len(inputs), 2, 2 * k + 2)
+            for run, _, colour, _ in runs:
+                axes.step(run.times[:-1], run.inputs[:, k], color=colour, linewidth=1.4, where="post")
+            for bound in design.input_set.intervals[k]:
                 if bound is not None:
-                    axes.axhline(bound, color="#808080", linestyle="--", linewidth=1.2)
+                    axes.axhline(float(bound), color="#808080", linestyle="--", linewidth=1.2)
             axes.set_ylabel(name)
             axes.margins(x=0)
         axes.set_xlabel("time [s]")
     return figure
 
 
-def plot_robustness(
-    runs: Sequence[Array],
-    columns: Sequence[int],
-    names: Sequence[str],
-    targets: Sequence[float],
-    relative: Array,
-    settling: Array,
-    tolerance: float,
-    title: str,
-) -> Figure:
-    """Some runs over time with the worst one on top, and how all runs end.
-
-    Args:
-        runs: rows of t and states; the first is the nominal run, the last the worst.
-        columns: the states to draw, as columns of the runs. names, targets: of these states.
-        names: of these states.
-        targets: of these states.
-        relative: final error of every run as a share of the initial one.
-        settling: of every run, seconds.
-        tolerance: share within which a run counts as converged.
-        title: above the panels.
-    """
-    with mpl.rc_context(rc=_rc()):
-        figure = Figure(figsize=(16, 9), dpi=100, layout="constrained")
-        figure.suptitle(title, fontsize=15, x=0.012, ha="left")
-        grid = figure.add_gridspec(2, 2 * max(1, len(columns)), height_ratios=[1.4, 1])
-        width = 2
-        for k, (column, name, target) in enumerate(zip(columns, names, targets, strict=True)):
-            axes = figure.add_subplot(grid[0, k * width : (k + 1) * width])
-            for run in runs[1:-1]:
-                axes.plot(run[:, 0], run[:, column], color=COLOURS[0], alpha=0.15, linewidth=1.0)
-            axes.plot(runs[-1][:, 0], runs[-1][:, column], color=COLOURS[1], linewidth=1.8, label="worst run")
-            axes.plot(runs[0][:, 0], runs[0][:, column], color="black", linewidth=1.8, label="nominal run")
-            axes.axhline(target, color="#808080", linestyle="-.", linewidth=1.1, label="target")
+def plot_robustness(design: Design, loop: ClosedLoop, found: Robustness) -> Figure:
+    """Some runs over time with the worst one on top, and how all runs end."""
+    wanted = [c.name for c in design.target.conditions if c.name in loop.state_names][:4] or loop.state_names[:3]
+    count = len(found.outcomes)
+    nominal, *others, worst = [trace(found.loops, k) for k in [*range(min(count, _DRAWN)), found.worst]]
+    with mpl.rc_context(STYLE):
+        figure = _figure(f"{design.name}: {100 * found.share:.4g} % of {count} runs converge")
+        grid = figure.add_gridspec(2, 2 * len(wanted), height_ratios=[1.4, 1])
+        for k, name in enumerate(wanted):
+            axes, state = figure.add_subplot(grid[0, 2 * k : 2 * k + 2]), loop.state_names.index(name)
+            for run in others:
+                axes.plot(run[:, 0], run[:, 1 + state], color=COLOURS[0], alpha=0.15, linewidth=1.0)
+            axes.plot(worst[:, 0], worst[:, 1 + state], color=COLOURS[1], linewidth=1.8, label="worst run")
+            axes.plot(nominal[:, 0], nominal[:, 1 + state], color="black", linewidth=1.8, label="nominal run")
+            axes.axhline(float(loop.x_star[state]), color="#808080", linestyle="-.", linewidth=1.1, label="target")
             axes.set_ylabel(name)
             axes.set_xlabel("time [s]")
             axes.margins(x=0)
             axes.legend(loc="best")
-        half = max(1, len(columns))
-        _ends(figure.add_subplot(grid[1, :half]), relative, tolerance)
-        _times(figure.add_subplot(grid[1, half:]), settling)
+        _ends(figure.add_subplot(grid[1, : len(wanted)]), found.relative, found.tolerance)
+        _times(figure.add_subplot(grid[1, len(wanted) :]), found.settling)
+    return figure
+
+
+def _figure(title: str) -> Figure:
+    figure = Figure(figsize=(16, 9), dpi=100, layout="constrained")
+    figure.suptitle(title, fontsize=15, x=0.012, ha="left")
     return figure
 
 

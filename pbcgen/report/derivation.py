@@ -52,7 +52,7 @@ def steps(derivation: Derivation) -> list[Step]:
 
 def _equilibrium(d: Derivation) -> Step:
     system, formulas = d.plant.system, []
-    wanted = ", ".join(rf"{_condition(c.name)} = {number(c.value, 12)}" for c in d.design.target.conditions)
+    wanted = ", ".join(rf"{name_as_latex(c.name)} = {number(c.value, 12)}" for c in d.design.target.conditions)
     formulas.append(Formula("Asked for", wanted))
     if d.point is not None:
         formulas.append(
@@ -74,10 +74,6 @@ def _equilibrium(d: Derivation) -> Step:
         tuple(formulas),
         ("input-rank", "equilibrium"),
     )
-
-
-def _condition(name: str) -> str:
-    return name_as_latex(name)
 
 
 def _row(values: Any) -> str:

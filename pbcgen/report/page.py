@@ -103,7 +103,7 @@ def page(
 def _environment() -> jinja2.Environment:
     environment = templates_in(template_directory() / "report", html=True)
     environment.filters |= {"math": _math, "formula": block_filter, "symbol": symbol_filter, "figure": figure}
-    environment.filters |= {"zip_names": _zip_names, "interval": _interval, "bounds": _interval}
+    environment.filters |= {"zip_names": _zip_names, "interval": _interval}
     environment.globals |= {"asset": _asset, "icons": ICONS, "meanings": MEANINGS}
     return environment
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,6 +59,9 @@ _LIMIT_COLOUR = "#b00020"
 #: Limits that are farther from the law's interval than so many times its width are not drawn.
 _FAR = 1.0
 _LINES_PER_PANEL = 4
+
+#: So many characters of a label stand beside a panel.
+_LABEL_WIDTH = 32
 _METADATA: dict[str, dict[str, None]] = {
     ".png": {"Software": None},
     ".svg": {"Date": None, "Creator": None},
@@ -221,7 +225,8 @@ def _draw(axes: Axes, panel: Panel, continuous: tuple[Array, Array], sampled: tu
             )
     _draw_limits(axes, panel)
     axes.margins(x=0, y=0.08)
-    axes.set_ylabel(f"{', '.join(map(_plain, panel.names))}" + (f" [{_plain(panel.unit)}]" if panel.unit else ""))
+    label = f"{', '.join(panel.names)} [{panel.unit}]" if panel.unit else ", ".join(panel.names)
+    axes.set_ylabel(_plain(textwrap.fill(label, _LABEL_WIDTH)))
     if len(panel.names) > 1:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.0, ncols=len(panel.names))
 

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pbcgen.emit.figures import Figures
 from pbcgen.emit.package import MANIFEST
+from pbcgen.emit.step_cost import StepCost
 from pbcgen.errors import ToolchainError
 from pbcgen.run.simulate import simulate_sampled
 from pbcgen.run.toolchain import run_tool
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.floating[Any]]
 CompilerName = Literal["zig", "gcc"]
 
-#: The optimisation that figures are stated for. Contraction is off: results equal the host's to the last bit.
+#: The optimisation that costs are stated for. Contraction is off: results equal the host's to the last bit.
 FLAGS: Final = ("-std=c99", "-O2", "-ffp-contract=off")
 
 _STACK_TOP: Final = 0x7010_0000
@@ -139,11 +139,11 @@ class Emulated:
         """Bytes of stack that the calls so far have used at the most."""
         return self._machine.stack_used()
 
-    def figures(self) -> Figures:
+    def cost(self) -> StepCost:
         """What the steps of :meth:`advance` cost. Raises ToolchainError if there were none."""
         if not self.counts:
             raise ToolchainError("no step was run on the target: there is nothing to measure")
-        return Figures(
+        return StepCost(
             target=self.target.name,
             description=self.target.description,
             compiler=f"{_compiler_version(self.target, self.compiler)} {' '.join(self.flags)}",
@@ -167,8 +167,8 @@ def measure(
     compiler: CompilerName = "zig",
     steps: int = 600,
     seed: int = 0,
-) -> Figures:
-    """The figures over reachable inputs: the closed loop from its initial state, then random points around it.
+) -> StepCost:
+    """The cost of a step over reachable inputs: the closed loop from its initial state, then random points around it.
 
     Args:
         law: the law that the package was rendered from.
@@ -193,7 +193,7 @@ def measure(
         span = np.abs(measured - middle).max(axis=0)
         for scale in np.random.default_rng(seed).uniform(-1, 1, (steps, len(middle))):
             controller.advance(middle + span * scale)
-    return controller.figures()
+    return controller.cost()
 
 
 @dataclass(frozen=True)

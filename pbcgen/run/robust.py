@@ -1,8 +1,8 @@
 """Thousands of closed loops of the generated C with what the proof leaves out: uncertainty, noise, friction, delay.
 
-The plant is printed as C from its instruction tape and integrated by ROS2, a linearly implicit method; one run of a
-stiff plant costs a few milliseconds. Runs are spread over any :class:`concurrent.futures.Executor`. Run k depends on
-the seed and on k only, so neither the number of workers nor an interruption changes a result.
+The plant is printed as C (:mod:`pbcgen.run.loops_source`); one run of a stiff plant costs a few milliseconds. Runs are
+spread over any :class:`concurrent.futures.Executor`. Run k depends on the seed and on k only, so neither the number of
+workers nor an interruption changes a result.
 """
 
 from __future__ import annotations
@@ -12,25 +12,18 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
-from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import casadi as ca
 import numpy as np
-from jinja2 import Template
 from numpy.typing import NDArray
 
-from pbcgen.emit.expressions import Graph, Printer
-from pbcgen.emit.literals import literal
-from pbcgen.emit.templating import templates_in
-from pbcgen.errors import ModelError, UnsupportedOperation
+from pbcgen.errors import ModelError
 from pbcgen.models.expressions import suggestion
+from pbcgen.run.loops_source import loops_source
 from pbcgen.run.trajectories import Loops, Scale, run_loops, trace
 from pbcgen.run.wrapper import Interface
-from pbcgen.symbolic.tape import Tape
 
 if TYPE_CHECKING:
     from pbcgen.emit import Package
@@ -39,9 +32,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None] | None
-
-#: Coefficient of ROS2 with which it is L-stable.
-_GAMMA = 1 - 1 / math.sqrt(2)
 
 #: Relative error of the nominal run at which the number of plant steps is accepted.
 _ACCURACY = 1e-3
@@ -166,7 +156,7 @@ def loops_of(
     _check(design, given)
     interface = Interface.of_manifest(package.files["manifest.json"])
     frictions = tuple(dict.fromkeys([*given.friction, *given.stiction]))
-    source = _source(design, loop, interface, frictions)
+    source = loops_source(design, loop, interface, frictions)
     names = (f"{interface.prefix}.c", f"{interface.prefix}.h")
     files = (("loops.c", source), *((name, package.files[name]) for name in names))
     steps = max(1, round((duration or loop.duration) / float(design.sample_period)))
@@ -253,93 +243,6 @@ def _check(design: Design, given: Disturbances) -> None:
     for kind in ("spread", "initial", "share"):
         if not 0 <= getattr(given, kind) < 1:
             raise ModelError(f"the {kind} is {getattr(given, kind):g}: a share below 1 was expected")
-
-
-# --- the plant in C ----------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Function:
-    name: str
-    statements: tuple[Any, ...]
-    results: tuple[tuple[int, str], ...]
-
-
-def _source(design: Design, loop: ClosedLoop, interface: Interface, frictions: Sequence[str]) -> str:
-    system = design.system
-    momenta = [system.state_names.index(name) for name in frictions]
-    storage = _gradient(design)
-    speeds = [e for k in momenta for e in (storage[k], ca.gradient(storage[k], system.x[k]))]
-    errors = [c.expression - _constant(c.value) for c in design.target.conditions]
-    functions = [
-        _printed(design, "plant_field", system.xdot),
-        _printed(design, "plant_jacobian", ca.vec(ca.densify(ca.jacobian(system.xdot, system.x)).T)),
-        _printed(design, "plant_sensors", system.measured_expressions),
-        _printed(design, "plant_errors", ca.vertcat(*errors)),
-    ]
-    if momenta:
-        functions.append(_printed(design, "plant_speeds", ca.vertcat(*speeds)))
-    return _template().render(
-        prefix=interface.prefix,
-        scalar=interface.precision,
-        n=system.n,
-        m=system.m,
-        measured=len(system.measured_names),
-        parameters=len(system.parameters),
-        targets=len(errors),
-        frictions=len(momenta),
-        friction_rows=momenta,
-        functions=functions,
-        inputs=interface.inputs,
-        outputs=interface.outputs,
-        x_star=[_number(v) for v in loop.x_star],
-        u_star=[_number(v) for v in loop.u_star],
-        gamma=repr(_GAMMA),
-    )
-
-
-@cache
-def _template() -> Template:
-    return templates_in(Path(__file__).parent).get_template("loops.c.j2")
-
-
-def _gradient(design: Design) -> list[ca.SX]:
-    """dS/dx; for a mechanical system the speeds are its entries at the momenta."""
-    mechanics = design.system.mechanical
-    gradient = mechanics.energy_gradient if mechanics is not None else ca.gradient(design.system.S, design.system.x)
-    return list(ca.vertsplit(ca.densify(gradient)))
-
-
-def _constant(value: Fraction) -> ca.SX:
-    return ca.SX(float(value))
-
-
-def _number(value: float) -> str:
-    return literal(np.float64(value))
-
-
-def _printed(design: Design, name: str, expression: ca.SX) -> _Function:
-    """A function (x, u, p) -> out; entries that are zero for every argument are written too."""
-    system = design.system
-    parameters = ca.SX(system.parameters.symbols)
-    tape = Tape.of([system.x, system.u, parameters], [ca.densify(ca.vec(expression))])
-    graph = Graph()
-    sizes = (("x", system.n), ("u", system.m), ("p", len(system.parameters)))
-    inputs = [[graph.name(f"{letter}[{k}]") for k in range(count)] for letter, count in sizes]
-    try:
-        (outputs,) = tape.walk(graph, inputs)
-    except UnsupportedOperation as error:
-        raise UnsupportedOperation(f"the plant cannot be written in C: {error}") from error
-    roots = outputs.column(graph.const(Fraction(0)))
-    printer = Printer(graph, "double", "plant", roots)
-    unknown = printer.helpers - {"tanh", "cosh"}
-    if unknown:
-        raise UnsupportedOperation(f"the plant cannot be written in C: it needs `{min(unknown)}`")
-    statements, texts = printer.stage(roots)
-    return _Function(name, statements, tuple(enumerate(texts)))
-
-
-# --- running -----------------------------------------------------------------------------------------------------
 
 
 def robust(

@@ -5,7 +5,7 @@ import pytest
 from pbcgen import DynamicExtension, pipeline
 from pbcgen.models.loader import load
 from pbcgen.proof.claim import Status
-from pbcgen.report import figures
+from pbcgen.report import paper_figures as figures
 
 pytestmark = pytest.mark.system
 

@@ -7,7 +7,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Figures:
+class StepCost:
     """What one step costs on a target.
 
     Attributes:
@@ -34,5 +34,5 @@ class Figures:
     static: int
 
     def as_json(self) -> dict[str, Any]:
-        """The figures, ready for ``json.dumps``; the mean is rounded to a whole number."""
+        """The cost, ready for ``json.dumps``; the mean is rounded to a whole number."""
         return asdict(self) | {"mean": round(self.mean)}
