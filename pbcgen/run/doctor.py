@@ -33,6 +33,7 @@ class Check:
 _REQUIRED_PACKAGES = (
     ("casadi", "models and simulation"),
     ("sympy", "formulas in reports"),
+    ("latex2mathml", "formulas in reports"),
     ("numpy", "numeric work"),
     ("scipy", "numeric work"),
     ("python-flint", "certified arithmetic"),
@@ -48,6 +49,7 @@ _OPTIONAL_PACKAGES = (
     ("unicorn", "counting instructions on an emulated processor"),
     ("pyelftools", "sizes and symbols of compiled code"),
     ("clarabel", "proofs by semidefinite programming"),
+    ("distributed", "robustness runs on a cluster"),
 )
 
 _PROGRAMS = (

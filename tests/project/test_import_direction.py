@@ -1,6 +1,7 @@
 """The rooms of the package import in one direction; see docs/architecture.md."""
 
 import ast
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -78,3 +79,21 @@ def test_a_room_imports_only_rooms_before_it(path):
 def test_every_folder_is_a_room():
     folders = {path.name for path in PACKAGE.iterdir() if path.is_dir() and any(path.glob("*.py"))}
     assert folders <= set(ROOMS)
+
+
+def test_no_modules_import_each_other_in_a_ring():
+    names = {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in MODULES}
+    graph = {}
+    for name, path in names.items():
+        if name.endswith("__init__"):
+            continue
+        found = [
+            candidate
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.ImportFrom) and node.module is not None
+            for base in [node.module.removeprefix("pbcgen").removeprefix(".")]
+            for candidate in [base, *(f"{base}.{alias.name}" for alias in node.names)]
+        ]
+        graph[name] = {candidate for candidate in found if candidate in names}
+    assert sum(map(len, graph.values())) > len(graph)
+    TopologicalSorter(graph).prepare()  # CycleError names the ring

@@ -1,5 +1,7 @@
+import re
 import shutil
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -98,3 +100,14 @@ def test_the_doctor_reports_what_is_missing_and_what_for(monkeypatch: pytest.Mon
     assert not checks["valgrind"].found
     assert all(check.needed_for and check.detail for check in checks.values())
     assert [check.name for check in diagnose()] == list(checks)
+
+
+def test_the_doctor_looks_for_every_dependency() -> None:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    wanted = [*project["dependencies"], *(item for name in ("zig", "sos", "dask", "emulate") for item in extras[name])]
+    names = {re.split(r"[<>=\[]", item)[0] for item in wanted}
+    required = {re.split(r"[<>=\[]", item)[0] for item in project["dependencies"]}
+    checks = {check.name: check for check in diagnose()}
+    assert names <= checks.keys()
+    assert {name for name in names if checks[name].required} == required
