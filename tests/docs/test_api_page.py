@@ -10,13 +10,10 @@ import pbcgen
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "api.md").read_text(encoding="utf-8")
 
+DIRECTIVE = re.compile(r"^::: (\S+)\n(?:    options:\n(?:      .*\n)*?      members: \[(.*)\]\n)?", re.MULTILINE)
+
 #: Each directive with the members that it shows; all of them where none are named.
-SHOWN = {
-    path: re.findall(r"\w+", members)
-    for path, members in re.findall(
-        r"^::: (\S+)\n(?:    options:\n(?:      .*\n)*?      members: \[(.*)\]\n)?", PAGE, re.MULTILINE
-    )
-}
+SHOWN = {path: re.findall(r"\w+", members) for path, members in DIRECTIVE.findall(PAGE)}
 
 
 @pytest.mark.parametrize("name", [name for name in pbcgen.__all__ if not name.startswith("_")])
