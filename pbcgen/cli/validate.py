@@ -96,7 +96,9 @@ def _agreement(agreement: Agreement) -> list[str]:
         f"u {agreement.trajectory_u_ulp:.3g} ulp, state {agreement.trajectory_xi_ulp:.3g} ulp",
         f"random and special inputs, {agreement.samples} steps: u {agreement.u_ulp:.3g} ulp, "
         f"state {agreement.xi_ulp:.3g} ulp",
-        f"at most {agreement.share:.2g} of the difference that rounding can make",
+        f"at most {agreement.share:.2g} of the difference that rounding can make"
+        if agreement.share
+        else "equal to the last bit",
     ]
     if agreement.status_mismatches:
         lines.append(f"{agreement.status_mismatches} steps return another status")

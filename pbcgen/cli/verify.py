@@ -47,9 +47,12 @@ def run(certificate: str, *, strict: bool = False, json: bool = False) -> Outcom
     from pbcgen.symbolic.plain.formulas import Malformed
     from pbcgen.verify.files import verify
 
+    path = Path(certificate)
+    if not path.exists():
+        raise ModelError(f"there is no file `{certificate}`: give a certificate.json, or the directory of a package")
     try:
         with progress("verify"):
-            document, findings = verify(Path(certificate))
+            document, findings = verify(path)
     except Malformed as reason:
         raise ModelError(str(reason)) from None
     failed = {"fails", "recorded"} if strict else {"fails"}

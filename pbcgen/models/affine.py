@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -14,6 +14,7 @@ import casadi as ca
 from pbcgen.errors import ModelError
 from pbcgen.models.exact import Number, decimal, exact
 from pbcgen.models.expressions import (
+    by_name,
     check_finite,
     check_symbols,
     column,
@@ -222,11 +223,11 @@ class AffineSystem:
             "g": matrix,
             "S": storage,
             "parameters": parameters,
-            "domain": MappingProxyType(_domain(domain or {}, names(x))),
+            "domain": MappingProxyType(_domain(by_name(domain, "domain"), names(x))),
             "gamma": known_gamma,
             "eta": known_eta,
             "measured": MappingProxyType(signals),
-            "units": MappingProxyType(_units(units or {}, taken)),
+            "units": MappingProxyType(_units(by_name(units, "units"), taken)),
             "name": name,
             "structure": structure,
             "long_numbers": tuple(float(v) for v in added if structure is None and is_long(v)),
@@ -303,7 +304,9 @@ def _measured(measured: MeasuredLike | None, x: ca.SX) -> dict[str, ca.SX]:
     states = dict(zip(names(x), entries(x), strict=True))
     if measured is None:
         return states
-    items = [measured] if isinstance(measured, str | Mapping) else list(measured)
+    items = [measured] if isinstance(measured, str | Mapping) else measured
+    if not isinstance(items, Iterable):
+        raise ModelError(f"`measured` is {measured!r}: names of states, or a mapping of name to expression, expected")
     signals: dict[str, ca.SX] = {}
     for item in items:
         for name, value in item.items() if isinstance(item, Mapping) else [(item, None)]:

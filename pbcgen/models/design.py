@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 from pbcgen.errors import ModelError
 from pbcgen.models import ranges
 from pbcgen.models.exact import Number, exact, positive
-from pbcgen.models.expressions import suggestion
+from pbcgen.models.expressions import by_name, suggestion
 from pbcgen.models.laws import Integral, Law, PotentialCompensation
 from pbcgen.models.limits import InputSet, Limits
 from pbcgen.models.ranges import Range, RangeLike
@@ -135,7 +135,7 @@ class Design:
             "jitter": _jitter(jitter),
             "precision": precision,
             "name": name,
-            "near": MappingProxyType(_by_state(near or {}, lowered, "near")),
+            "near": MappingProxyType(_by_state(by_name(near, "near"), lowered, "near")),
             "initial": _initial(initial, lowered),
             "duration": None if duration is None else positive(duration, "the duration"),
             "description": description,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
+
+T = TypeVar("T")
 
 
 def expression(value: Any, what: str) -> ca.SX:
@@ -141,7 +144,7 @@ def check_symbols(value: ca.SX, allowed: Sequence[ca.SX], what: str, forbidden: 
             raise ModelError(f"{what} depends on {kind} `{symbol.name()}`: it may not")
         raise ModelError(
             f"{what} contains the symbol `{symbol.name()}`, which is neither a state, an input nor a parameter: "
-            "declare it, or take a parameter from Parameters"
+            "declare it; a symbol of Parameters is known where they are given as `parameters=`"
         )
 
 
@@ -207,6 +210,15 @@ def never_positive_definite(matrix: ca.SX, variables: ca.SX, parameters: ca.SX, 
 def _samples(size: int) -> list[NDArray[np.float64]]:
     generator = np.random.default_rng(20240229)
     return [generator.uniform(-1, 1, size) for _ in range(5)]
+
+
+def by_name(value: Mapping[str, T] | None, what: str) -> Mapping[str, T]:
+    """A mapping from names, empty for None. Raises ModelError, which calls it ``what``, for anything else."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise ModelError(f"{what} is {value!r}: a dict by name was expected")
+    return value
 
 
 def suggestion(name: object, known: Iterable[str]) -> str:

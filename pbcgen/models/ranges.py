@@ -9,7 +9,7 @@ from typing import Any
 
 from pbcgen.errors import ModelError
 from pbcgen.models.exact import Number, exact
-from pbcgen.models.expressions import suggestion
+from pbcgen.models.expressions import by_name, suggestion
 from pbcgen.models.gains import Vector, is_diagonal
 from pbcgen.models.laws import Law, gains
 from pbcgen.models.target import Target
@@ -38,7 +38,7 @@ def target_box(given: Mapping[str, Sequence[Number]] | None, target: Target) -> 
 
     Raises ModelError for a name that the target does not have, and for a range that does not hold the target's value.
     """
-    given = given or {}
+    given = by_name(given, "target_box")
     values = {c.name: c.value for c in target.conditions}
     for name in given:
         if name not in values:
@@ -57,7 +57,7 @@ def gain_ranges(given: Mapping[str, RangeLike] | None, law: Law, m: int) -> dict
 
     Raises ModelError for a gain that the law does not have or that cannot change, and for a range without its value.
     """
-    given = given or {}
+    given = by_name(given, "gain_ranges")
     own = gains(law.resolve(m))
     free = [name for name in own if name not in _FIXED_GAINS]
     for name in given:
