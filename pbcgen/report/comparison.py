@@ -75,7 +75,8 @@ def plot_robustness(design: Design, loop: ClosedLoop, found: Robustness) -> Figu
             axes.plot(worst[:, 0], worst[:, 1 + state], color=COLOURS[1], linewidth=1.8, label="worst run")
             axes.plot(nominal[:, 0], nominal[:, 1 + state], color="black", linewidth=1.8, label="nominal run")
             axes.axhline(float(loop.x_star[state]), color="#808080", linestyle="-.", linewidth=1.1, label="target")
-            axes.set_ylabel(name)
+            unit = loop.state_units[state]
+            axes.set_ylabel(f"{name} [{unit}]" if unit else name)
             axes.set_xlabel("time [s]")
             axes.margins(x=0)
             axes.legend(loc="best")
@@ -106,7 +107,7 @@ def _times(axes: mpl.axes.Axes, settling: Array) -> None:
     """When the runs settle."""
     finite = settling[np.isfinite(settling)]
     if len(finite):
-        axes.hist(finite, bins=40, color=COLOURS[0], alpha=0.8)
+        axes.hist(finite, bins=max(5, min(40, len(finite) // 5)), color=COLOURS[0], alpha=0.8)
     missing = len(settling) - len(finite)
     axes.set_xlabel(
         "settling time, 2 % of the initial error [s]" + (f"; {missing} runs do not settle" if missing else "")

@@ -114,7 +114,7 @@ def test_figures_reach_readme_and_manifest(checked):
     _, report, package = checked
     figures = measure(report.control, package.files, report.loop, target("cortex-m4f"), steps=5)
     allowed = tuple(claim.claim for claim in report.blocking())
-    files = pipeline.package(report, allow=allowed, figures=[figures]).files
+    files = pipeline.package(report, allow=allowed, costs=[figures]).files
     assert f"| {round(figures.mean)} | {figures.worst} | {figures.text} |" in files["README.md"]
     assert json.loads(files["manifest.json"])["figures"] == [figures.as_json()]
 
