@@ -75,9 +75,10 @@ class _Obstacle:
 
 def _gradients(plant: Plant, structure: PowerStructure | None) -> Iterator[tuple[str, ca.SX]]:
     """Proposals for grad gamma (n x m) that follow from the power structure."""
-    if structure is None:
-        return
     g = plant.system.g
+    if structure is None:
+        yield from _folded(plant, ca.SX(plant.system.n, plant.system.n), -plant.system.f)
+        return
     if structure.form == "A":
         yield "y = -g^T A^T x' with grad S = A f", -ca.mtimes(structure.matrix, g)
         return
@@ -87,6 +88,22 @@ def _gradients(plant: Plant, structure: PowerStructure | None) -> Iterator[tuple
     swapped = _solve(plant, structure.matrix, -g)
     if swapped is not None:
         yield "y = -g^T F^{-T} x' with f = F grad S", swapped
+    if structure.remainder.nnz():
+        yield from _folded(plant, structure.matrix, structure.remainder)
+
+
+def _folded(plant: Plant, matrix: ca.SX, remainder: ca.SX) -> Iterator[tuple[str, ca.SX]]:
+    """The proposal of the structure whose F takes each entry of the remainder in as a multiple of that of grad S."""
+    try:
+        field, (rho, e) = plant.exact(remainder, plant.gradient)
+        zero = field.const(0)
+        pairs = zip(rho.column(zero), e.column(zero), strict=True)
+        shares = [zero if part.is_zero() else part / slope for part, slope in pairs]
+    except (UnsupportedOperation, ZeroDivisionError):
+        return
+    psi = _solve(plant, matrix - ca.diag(ca.vertcat(*[plant.expression(share) for share in shares])), -plant.system.g)
+    if psi is not None:
+        yield "y = -g^T F^{-T} x' with f = F(x) grad S", psi
 
 
 def _solve(plant: Plant, matrix: ca.SX, right: ca.SX) -> ca.SX | None:
