@@ -20,6 +20,7 @@ from pbcgen.certify.settings_witness import adjustable
 from pbcgen.certify.velocity_witness import SQUARES, squares
 from pbcgen.certify.writing import Writing
 from pbcgen.control.derive import Derivation
+from pbcgen.control.leaves import conserved
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.lasalle import InvariantSet
 from pbcgen.proof.claim import Claim, Status
@@ -27,7 +28,7 @@ from pbcgen.proof.lyapunov import Kind, lyapunov
 from pbcgen.proof.tree import tree
 from pbcgen.reading.growth import GLOBAL
 from pbcgen.reading.system import Fails
-from pbcgen.symbolic.linear import Inconsistent, Row, reduce_rows, solve
+from pbcgen.symbolic.linear import Inconsistent, solve
 from pbcgen.symbolic.plain.elimination import Elimination, put_in
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix
@@ -168,25 +169,14 @@ class _Work:
             return None
         return self._by_steps()
 
+    def on_leaves(self, claim: Claim) -> Witness:
+        """`stable` where something is conserved."""
+        return dict(claim.certificate) if "conserved" in claim.certificate else None
+
     def _conserved(self) -> Witness:
         """A constant combination of the states that no input changes."""
-        columns: dict[Any, Row] = {}
-        moves = zip(self.system.functions("f"), self.system.functions("g"), strict=True)
-        for i, (f, g) in enumerate(moves):
-            for j, v in enumerate((*f, *g)):
-                if not v.bottom.is_constant():
-                    return None
-                for exponents, c in v.top.to_dict().items():
-                    columns.setdefault((j, exponents), {})[i] = c
-        solved = reduce_rows(columns.values())
-        free = [k for k in range(self.system.n) if k not in solved]
-        if not free:
-            return None
-        c = [fmpq(0)] * self.system.n
-        c[free[0]] = fmpq(1)
-        for k, row in solved.items():
-            c[int(str(k))] = -row.get(free[0], fmpq(0))
-        return {"conserved": [str(v) for v in c]}
+        basis = conserved(self.derivation.plant)
+        return {"conserved": [str(v) for v in basis[0]]} if basis else None
 
     def _undamped(self) -> Witness:
         """States as functions of free ones, with u = u* and gamma = gamma*."""
@@ -332,6 +322,7 @@ _MAKERS = {
     "equilibrium": _Work.unassignable,
     "saturation": _Work.limited,
     "assumption-3": _Work.undamped_output,
+    "stable": _Work.on_leaves,
     "asymptotically-stable": _Work.local,
     "globally-asymptotically-stable": _Work.everywhere,
     "sampled-stable": _Work.sampled,

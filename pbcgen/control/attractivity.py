@@ -12,15 +12,15 @@ from __future__ import annotations
 
 from flint import fmpq
 
+from pbcgen.control.leaves import conserved, written
 from pbcgen.control.situation import Situation
-from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.laws import DynamicExtension, PassiveOutput
 from pbcgen.passivity.lasalle import InvariantSet
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import as_balls
 from pbcgen.symbolic.linear import Row, reduce_rows
-from pbcgen.symbolic.real import BITS, REAL, precision, reals, sign, text
+from pbcgen.symbolic.real import BITS, REAL, precision, reals, sign
 
 
 def beyond_linearisation(situation: Situation, by_lyapunov: bool) -> Claim | None:
@@ -88,29 +88,10 @@ def _isolated(situation: Situation) -> bool:
 
 def _conserved(situation: Situation) -> Claim | None:
     """A linear combination c^T x with ``c^T f = 0`` and ``c^T g = 0``."""
-    plant = situation.plant
-    system = plant.system
-    try:
-        field, (f, g) = plant.exact(system.f, system.g)
-    except (UnsupportedOperation, ZeroDivisionError):
+    basis = conserved(situation.plant)
+    if not basis:
         return None
-    zero = field.const(0)
-    functions = [[entry, *row] for entry, row in zip(f.column(zero), g.dense(zero), strict=True)]
-    if not all(entry.is_polynomial() for row in functions for entry in row):
-        return None
-    rows: dict[object, Row] = {}
-    for i, row in enumerate(functions):
-        for j, entry in enumerate(row):
-            for exponents, coefficient in entry.numerator.to_dict().items():
-                rows.setdefault((j, tuple(exponents)), {})[i] = coefficient
-    solved = reduce_rows(rows.values())
-    free = [k for k in range(system.n) if k not in solved]
-    if not free:
-        return None
-    weights = {free[0]: fmpq(1)}
-    weights |= {int(str(p)): -r[free[0]] for p, r in solved.items() if free[0] in r}
-    names = system.state_names
-    shown = " + ".join(f"{text(c)}*{names[k]}" for k, c in sorted(weights.items()) if c != 0)
+    shown = written(situation.plant, basis[0])
     return Claim(
         "asymptotically-stable",
         Status.REFUTED,

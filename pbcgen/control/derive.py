@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from math import isfinite
 from time import perf_counter
 from typing import Any
 
@@ -179,6 +180,7 @@ def derive(design: Design, progress: Progress = None, scan: bool = False) -> Der
     ordered = tuple(stages.claims[name] for name in CLAIMS if name in stages.claims)
     graph = at_target.graph if at_target else None
     interface = at_target.interface if at_target else None
+    numbers = _known(numbers)
     slowest = numbers.get("spectral_abscissa")
     loop = closed_loop(plant, design, graph, equilibrium.point, slowest) if graph and equilibrium.point else None
     return Derivation(
@@ -198,6 +200,15 @@ def derive(design: Design, progress: Progress = None, scan: bool = False) -> Der
         bounds,
         at_target.situation if at_target else None,
     )
+
+
+def _known(value: Any) -> Any:
+    """The same, with None for numbers that balls do not enclose: JSON has no NaN."""
+    if isinstance(value, dict):
+        return {name: _known(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [_known(entry) for entry in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 _EMPTY: Mapping[str, Any] = {

@@ -8,6 +8,7 @@ from fractions import Fraction
 
 from pbcgen.control.attractivity import beyond_linearisation, locally_by_storage
 from pbcgen.control.global_attraction import by_storage, globally
+from pbcgen.control.leaves import stable_on_leaves
 from pbcgen.control.sampled import Sampling, decide
 from pbcgen.control.situation import LARGEST_LINEARISED, Situation
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, base_law
@@ -108,6 +109,9 @@ def _stable(continuous: Stability, missing: Sequence[str], situation: Situation)
         return Claim("stable", Status.PROVED, "near x*", method, evidence, certificate=_certificate(continuous))
     if continuous.status is Status.REFUTED:
         return _unstable("stable", continuous, situation)
+    on_leaves = stable_on_leaves(situation, missing)
+    if on_leaves is not None:
+        return on_leaves
     return Claim(
         "stable",
         Status.UNDECIDED,

@@ -23,14 +23,35 @@ from pbcgen.verify.assumptions import Assumptions
 class Stability(Assumptions):
     """By linearisation, by the Lyapunov function with LaSalle's argument, and for the sampled loop."""
 
-    def lyapunov(self) -> None:
-        """The Lyapunov function of Prop. pro1, pro2 or pro4."""
+    def lyapunov(self, least: bool = True) -> None:
+        """The Lyapunov function of Prop. pro1, pro2 or pro4: it does not grow, and has a minimum at x*."""
         require("integral" not in self.law, "the law has no Lyapunov function")
-        checks = [self.proved_assumption_1, self.proved_passive_output, self.proved_gradient_condition]
-        filters = [self.proved_gain_definiteness, self.proved_kc_bound] if "passive-output" not in self.law else []
-        damped = [self.proved_theta] if "natural-damping" in self.law else []
-        for check in [*checks, self.proved_hessian_condition, *filters, *damped]:
+        filtered = "passive-output" not in self.law
+        checks = [self.proved_assumption_1, self.proved_passive_output]
+        checks += [self.proved_gain_definiteness] if filtered else []
+        checks += [self.proved_theta] if "natural-damping" in self.law else []
+        if least:
+            checks += [self.proved_gradient_condition, self.proved_hessian_condition]
+            checks += [self.proved_kc_bound] if filtered else []
+        for check in checks:
             self.once(check)
+
+    def on_leaves(self, witness: Mapping[str, Any]) -> None:
+        """``S_d + lambda^T C x + t |C (x - x*)|^2`` has a minimum at x*, and C x is constant whatever the input."""
+        C = [[rational(v) for v in row] for row in witness["conserved"]]
+        self.zero([v for name in ("f", "g") for row in product(C, self.functions(name)) for v in row], "C x may move")
+        self.lyapunov(least=False)
+        slope = [*map(rational, witness["slope"])]
+        if any(slope):
+            require(
+                all(sign(v + dot(c, slope)) == 0 for v, c in zip(self.shaped[0], transpose(C), strict=True)), "a slope"
+            )
+        else:
+            self.once(self.proved_gradient_condition)
+        H = self.hessian_d if "passive-output" in self.law else self.hessian_dc
+        wide = [row + [fmpq(0)] * (len(H) - self.n) for row in C]
+        held = plus(H, product(transpose(wide), wide), rational(witness["weight"]))
+        require(is_definite(held), "there may be no minimum at x*")
 
     @cached_property
     def is_hurwitz(self) -> bool | None:
@@ -40,8 +61,10 @@ class Stability(Assumptions):
         return stable(self.continuous, False, self.storage("asymptotically-stable"))
 
     def proved_stable(self) -> None:
-        """By the Lyapunov function or by linearisation."""
-        if not self.is_hurwitz:
+        """By the Lyapunov function, if need be on the leaves of what is conserved, or by linearisation."""
+        if "conserved" in self.witness["stable"]:
+            self.on_leaves(self.witness["stable"])
+        elif not self.is_hurwitz:
             self.lyapunov()
 
     def refuted_stable(self) -> None:

@@ -154,3 +154,10 @@ def test_a_gamma_that_falls_where_the_input_pushes_is_not_offered(inputs):
     assert isinstance(found, PassiveOutput)
     (feedthrough,) = plant.at(rest, ca.mtimes(ca.jacobian(found.gamma, L), system.g))
     assert all(feedthrough[i][i] > 0 for i in range(inputs))
+
+
+def test_friction_that_is_no_constant_multiple_is_taken_into_the_structure():
+    """x' = -(x + x^3) / (1 + 3 x^2) + ... is -R(x) grad S, and y = g^T x' / R(x) is passive where it is not at rest."""
+    x, u = ca.SX.sym("x"), ca.SX.sym("u")
+    X, slope = x + x**3, 1 + 3 * x**2
+    assert _gamma_is(AffineSystem([x], [u], [-X / slope], [1 / slope], X**2 / 2), [X])

@@ -169,3 +169,20 @@ def test_powers_by_roots_are_those_of_exp_and_log(exponent):
 def test_a_power_without_square_roots_is_not_checked():
     with pytest.raises(NotCheckable, match="no multiple of 1/8"):
         power(arb(3), rational("1/3"))
+
+
+@pytest.mark.parametrize(
+    ("make", "expected"),
+    [
+        (lambda x, y: (x - y) * (x - y) + fmpq(1, 30), 1),
+        (lambda x, y: fmpq(-1, 10**6) - (x + y * 2) * (x + y * 2) - (x - 1) * (x - 1), -1),
+        (lambda x, y: (x - y) * (x - y), 0),
+        (lambda x, y: (x - y) * (x - y) - fmpq(1, 10**6), 0),
+        (lambda x, y: x * x + x * y * 3 + y * y * 2 + 1, 0),
+        (lambda x, y: x * x * (y * y + 1) + x * 2 + 2, 1),
+        (lambda x, y: x * x * (y * y + 1) + x * 2 + fmpq(1, 2), 0),
+    ],
+)
+def test_squares_are_completed(make, expected):
+    field = Field(2, 4)
+    assert field.everywhere(make(*field.symbols).top) == expected
