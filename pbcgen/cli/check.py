@@ -36,7 +36,9 @@ def register(app: typer.Typer) -> None:
         json: options.Json = False,
     ) -> Outcome:
         """Derive the controller, and say what is proved of it."""
-        return run(model, scan=sampled_scan, delay=delay, jitter=jitter, every=for_all_parameters, json=json)
+        return run(
+            model, scan=sampled_scan, delay=delay, jitter=jitter, for_all_parameters=for_all_parameters, json=json
+        )
 
 
 def run(
@@ -45,7 +47,7 @@ def run(
     scan: bool = False,
     delay: str | None = None,
     jitter: str | None = None,
-    every: bool = False,
+    for_all_parameters: bool = False,
     json: bool = False,
 ) -> Outcome:
     """Check a model. Exit code 2 when a claim that code depends on is not PROVED.
@@ -59,7 +61,7 @@ def run(
     with progress("load") as tell:
         asked = {name: value for name, value in {"delay": delay, "jitter": jitter}.items() if value is not None}
         report = pipeline.check(load(model).with_(**asked), progress=tell, scan=scan)
-        wide = pipeline.for_all_parameters(report) if every else None
+        wide = pipeline.for_all_parameters(report) if for_all_parameters else None
     more = {} if wide is None else {"for_all_parameters": [claim.as_json() for claim in wide]}
     return Outcome(
         show=lambda console: show_report(console, report, model, wide),

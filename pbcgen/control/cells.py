@@ -19,6 +19,7 @@ from pbcgen.law.graph import LawGraph
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.target_map import TargetMap
 from pbcgen.proof.definite import RealMatrix
+from pbcgen.sampling.transition import real_identity
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, ball, precision, rational, reals
 from pbcgen.symbolic.tape import Tape
 
@@ -56,7 +57,7 @@ class Jet:
 
     def filled(self, rows: int, columns: int, diagonal: int = 0) -> Jet:
         """A constant of this shape with as many slopes: zero, or a multiple of the identity."""
-        value = _identity(rows) * diagonal if diagonal else arb_mat(rows, columns)
+        value = real_identity(rows) * diagonal if diagonal else arb_mat(rows, columns)
         return Jet(value, tuple(arb_mat(rows, columns) for _ in self.slopes))
 
     def inverse(self) -> Jet:
@@ -167,7 +168,7 @@ class Loops:
                 parts = [Jet(j.value, (*j.slopes, _zero_like(j.value))) for j in parts]
             A, B, H, N, c_m, c_xi, x_m, x_xi, u_m, u_xi, x_t, u_t, *continuous = parts
             size = N.value.nrows()
-            solved = Jet(_identity(size) + N.value, N.slopes).inverse()
+            solved = Jet(real_identity(size) + N.value, N.slopes).inverse()
             t_m, t_xi = solved * c_m, solved * c_xi
             X_m, X_xi, U_m, U_xi = x_m + x_t * t_m, x_xi + x_t * t_xi, u_m + u_t * t_m, u_xi + u_t * t_xi
             sampled = self._sampled(A, B, (X_m * H, X_xi, U_m * H, U_xi), period)
@@ -232,10 +233,6 @@ class Loops:
                 slopes[-1] = whole.value * ball(rational(share))
             held = Jet(whole.value * t, tuple(slopes)).exp()
         return held.cut(0, self.n, 0, self.n), held.cut(0, self.n, self.n, self.n + m)
-
-
-def _identity(size: int) -> arb_mat:
-    return arb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
 
 
 def _zero_like(matrix: arb_mat) -> arb_mat:

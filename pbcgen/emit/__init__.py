@@ -5,6 +5,9 @@
     expressions   tape instructions as C expressions
     program       the typed tree that the templates loop over
     lowering      from a law to that tree
+    solves        the equations of the loop in that tree
+    selftest      a run with expected outputs in that tree
+    step_cost     what a step was measured to take
     templating    where the templates are
     wording       prose of header, README and manifest
     package       render and write

@@ -18,8 +18,9 @@ from flint import fmpq
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.law.settings import Settings
-from pbcgen.passivity.factor import Coefficients
 from pbcgen.passivity.plant import Plant, Point
+from pbcgen.symbolic.coefficients import Coefficients, Monomial
+from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import BITS, Real, approximate, fraction, precision, rational, text
 from pbcgen.symbolic.tape import exact_decimal
@@ -142,22 +143,14 @@ class Measurement:
         stacked = ca.vertcat(signal, *[system.measured[name] for name in expressions])
         field, (jacobian,) = self.plant.exact(ca.jacobian(stacked, unseen))
         zero = field.const(0)
-        coefficients = Coefficients(field, frozenset())
+        coefficients = Coefficients(field)
         splits = [[coefficients.split(entry) for entry in row] for row in jacobian.dense(zero)]
         rows: list[Row] = []
-        for column in range(len(hidden)):
-            cells = [row[column] for row in splits]
-            if any(cell is None for cell in cells):
+        for cells in zip(*splits, strict=True):
+            known = [cell for cell in cells if cell is not None]
+            if len(known) < len(cells):
                 return None
-            for monomial in sorted({m for cell in cells if cell for m in cell}):
-                row: Row = {
-                    name: cell[monomial].constant()
-                    for name, cell in zip(expressions, cells[1:], strict=True)
-                    if cell and monomial in cell
-                }
-                if cells[0] and monomial in cells[0]:
-                    row[CONSTANT] = -_plain(cells[0][monomial].constant())
-                rows.append(row)
+            rows += _equations(expressions, known)
         try:
             solution = particular_solution(reduce_rows(rows), fmpq(0))
         except Inconsistent:
@@ -249,6 +242,18 @@ def _rest(signal: ca.SX, weights: Mapping[str, Fraction], measured: Mapping[str,
     for name, weight in weights.items():
         total = total - float(weight * common) * measured[name]
     return total / float(common)
+
+
+def _equations(names: Sequence[str], cells: Sequence[Mapping[Monomial, Quotient]]) -> list[Row]:
+    """``sum c_j cell_j = cell_0``, one equation for each power product, for the numbers c_j of these names."""
+    signal, *others = cells
+    rows: list[Row] = []
+    for product in sorted({product for cell in cells for product in cell}):
+        row: Row = {name: cell[product].constant() for name, cell in zip(names, others, strict=True) if product in cell}
+        if product in signal:
+            row[CONSTANT] = -_plain(signal[product].constant())
+        rows.append(row)
+    return rows
 
 
 def _plain(value: fmpq | None) -> fmpq:

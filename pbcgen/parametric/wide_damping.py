@@ -14,11 +14,11 @@ import casadi as ca
 from pbcgen.models.laws import NaturalDamping
 from pbcgen.parametric.wide import EVERYWHERE, FAR_REACHES, GIVE_UP, Wide, pairs, refuted, undecided
 from pbcgen.parametric.wide_conditions import Verdict, condition, negative_minor
-from pbcgen.passivity.factor import Coefficients
 from pbcgen.passivity.plant import dot
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.elimination import definite, positivity_conditions, semidefinite
 from pbcgen.proof.nonnegative import nonnegative, positive
+from pbcgen.symbolic.coefficients import Coefficients
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, particular_solution, reduce_rows
 

@@ -19,7 +19,6 @@ from pbcgen.parametric.resting_point import RestingPoint
 from pbcgen.parametric.wide import EVERYWHERE, GIVE_UP, NEAR_TARGET, Wide, undecided
 from pbcgen.parametric.wide_conditions import Verdict, condition
 from pbcgen.passivity.coordinates import proper
-from pbcgen.passivity.factor import Coefficients
 from pbcgen.passivity.flow import Flow, flow
 from pbcgen.passivity.inertia import missing_for_definiteness
 from pbcgen.passivity.lasalle import InvariantSet, invariant_set
@@ -29,6 +28,7 @@ from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.elimination import definite, semidefinite
 from pbcgen.proof.known import BOUNDED_KINDS
 from pbcgen.proof.nonnegative import positive
+from pbcgen.symbolic.coefficients import Coefficients
 from pbcgen.symbolic.field import Quotient
 
 #: Closed loops with more states are not decided by Routh's array in functions.

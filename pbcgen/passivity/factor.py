@@ -13,9 +13,10 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-from flint import fmpq, fmpq_mpoly
+from flint import fmpq
 
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.symbolic.coefficients import Coefficients, Monomial
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import fraction
@@ -24,7 +25,6 @@ from pbcgen.symbolic.real import fraction
 _MOST_UNKNOWNS = 700
 
 Entry = tuple[int, int, int]
-Monomial = tuple[int, ...]
 #: An affine form over the rationals: coefficients by unknown, and CONSTANT.
 _Form = dict[Hashable, fmpq]
 
@@ -35,34 +35,6 @@ class Factor:
 
     matrix: list[dict[int, Quotient]]
     remainder: list[Quotient]
-
-
-class Coefficients:
-    """Functions as polynomials in states and atoms, with coefficients that are functions of the parameters."""
-
-    def __init__(self, field: Field, parameters: frozenset[int]) -> None:
-        self.field = field
-        self.parameters = set(parameters)
-        for position, atom in sorted(field.atoms.items()):
-            if atom.argument.symbols() <= parameters:
-                self.parameters.add(position)
-
-    def split(self, function: Quotient) -> dict[Monomial, Quotient] | None:
-        """Coefficient by monomial, or None when the denominator depends on the state."""
-        if any(k not in self.parameters for k, d in enumerate(function.denominator.degrees()) if d):
-            return None
-        groups: dict[Monomial, dict[Monomial, fmpq]] = {}
-        for raw, coefficient in function.numerator.to_dict().items():
-            exponents = tuple(int(e) for e in raw)
-            state = tuple(0 if k in self.parameters else e for k, e in enumerate(exponents))
-            rest = tuple(e if k in self.parameters else 0 for k, e in enumerate(exponents))
-            groups.setdefault(state, {})[rest] = coefficient
-        return {
-            state: self.field.quotient(self._polynomial(terms), function.denominator) for state, terms in groups.items()
-        }
-
-    def _polynomial(self, terms: dict[Monomial, fmpq]) -> fmpq_mpoly:
-        return self.field.context.from_dict(terms)
 
 
 def find_factor(
@@ -103,7 +75,7 @@ def _unique_constant(
     remainder_allowed: bool,
 ) -> tuple[Factor, dict[Entry, Quotient]] | None:
     """The constant factor when the entries of the basis are independent, which leaves one at most: for any size."""
-    coefficients = Coefficients(field, frozenset())
+    coefficients = Coefficients(field)
     columns = [coefficients.split(entry) for entry in basis]
     wanted = [coefficients.split(entry) for entry in targets]
     if any(split is None for split in (*columns, *wanted)):

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import casadi as ca
 from flint import fmpq
 
-from pbcgen.passivity.factor import Coefficients, Monomial
 from pbcgen.passivity.plant import Plant, columns
+from pbcgen.symbolic.coefficients import Coefficients, Monomial
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 

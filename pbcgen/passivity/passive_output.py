@@ -17,7 +17,6 @@ from itertools import chain
 import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.passivity.factor import Coefficients
 from pbcgen.passivity.integrate import Curl, curl, potential
 from pbcgen.passivity.obstruction import Obstruction, obstruction
 from pbcgen.passivity.plant import Plant, Point, columns, dot
@@ -29,6 +28,7 @@ from pbcgen.proof.definite import positive_semidefinite
 from pbcgen.proof.elimination import semidefinite
 from pbcgen.proof.nonnegative import Prover
 from pbcgen.proof.sos import coefficients, squares_tried, sum_of_squares
+from pbcgen.symbolic.coefficients import Coefficients
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows, solve
 from pbcgen.symbolic.real import rational, sign, text

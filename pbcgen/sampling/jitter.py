@@ -16,7 +16,7 @@ from flint import arb, arb_mat
 from pbcgen.proof.claim import Status
 from pbcgen.sampling.common_storage import Array, common_storage, decrease, modal_basis
 from pbcgen.sampling.scan import SCAN_BITS
-from pbcgen.sampling.transition import LinearLoop, Transition
+from pbcgen.sampling.transition import LinearLoop, Transition, real_identity
 from pbcgen.symbolic.real import ball, enclose, precision, rational
 
 #: Limits of the search: order of the loop, samples of the interval.
@@ -131,14 +131,14 @@ def _cell(transition: Transition, F: arb_mat, inverse: arb_mat, a: Fraction, b: 
     curve = transition.real(transition.jet(enclose(a, b))).c2
     N0, N1, N2 = (F * part * inverse for part in (here.c0, here.c1, curve))
     n = N0.nrows()
-    rest = _identity(n) - N0.transpose() * N0
+    rest = real_identity(n) - N0.transpose() * N0
     try:
         X = np.linalg.inv(np.linalg.cholesky(_floats(rest)))
     except np.linalg.LinAlgError:
         return False
     turn = arb_mat([[arb(float(v)) for v in row] for row in X])
     d = arb(ball(rational((b - a) / 2)).upper())
-    zeroth = turn * rest * turn.transpose() - _identity(n)
+    zeroth = turn * rest * turn.transpose() - real_identity(n)
     left, first = (turn * N0.transpose(), turn * N1.transpose())
     steep = left * N1 * turn.transpose()
     bent = left * N2 * turn.transpose()
@@ -153,10 +153,6 @@ def _cell(transition: Transition, F: arb_mat, inverse: arb_mat, a: Fraction, b: 
         + d**4 * _norm(last * last.transpose())
     )
     return bool(total < 1)
-
-
-def _identity(n: int) -> arb_mat:
-    return arb_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
 
 
 def _norm(symmetric: arb_mat) -> arb:

@@ -20,7 +20,7 @@ import numpy as np
 from flint import acb, acb_mat, arb, arb_mat
 
 from pbcgen.proof.claim import Status
-from pbcgen.sampling.transition import LinearLoop, Transition, diagonalise, entries, midpoints
+from pbcgen.sampling.transition import LinearLoop, Transition, diagonalise, entries, midpoints, real_identity
 from pbcgen.symbolic.real import ball, enclose, in_high_precision, precision, rational
 
 #: Bits of the balls of a scan; the decision at a single period uses more.
@@ -179,16 +179,12 @@ def _following(N0: acb_mat, N: acb_mat, reach: float) -> acb_mat:
     return acb_mat(size, size, turns)
 
 
-def _real_identity(size: int) -> arb_mat:
-    return arb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
-
-
 def _neumann(P: arb_mat) -> arb_mat:
     """An upper bound of ``sum_k P^k`` for P >= 0. Raises ZeroDivisionError if the series may diverge."""
     size = P.nrows()
     if not _contracts([arb(1)] * size, P):
         raise ZeroDivisionError
-    inverted = (_real_identity(size) - P).inv()
+    inverted = (real_identity(size) - P).inv()
     return arb_mat(size, size, [inverted[i, j].abs_upper() for i in range(size) for j in range(size)])
 
 

@@ -6,7 +6,7 @@ backward Euler and, if wanted, its output delayed. A jet encloses its Taylor coe
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -126,6 +126,11 @@ def identity(size: int) -> acb_mat:
     return acb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
 
 
+def real_identity(size: int) -> arb_mat:
+    """The identity in real balls."""
+    return arb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
+
+
 def entries(matrix: acb_mat) -> Iterator[tuple[int, int, acb]]:
     """Row, column and value of each entry, row by row."""
     for i in range(matrix.nrows()):
@@ -161,48 +166,57 @@ class Basis:
 
     def exponential(self, t: arb) -> tuple[acb_mat, acb_mat]:
         """Enclosures of ``e^{A t}`` and ``int_0^t e^{A s} ds`` in these coordinates, t >= 0."""
-        size = self.matrix.nrows()
         if self.values is None:
-            block = [
-                [self.matrix[i, j] * t for j in range(size)] + [t * int(i == j) for j in range(size)]
-                for i in range(size)
-            ]
-            flat = [v for row in block for v in row] + [acb(0)] * (2 * size * size)
-            whole = acb_mat(2 * size, 2 * size, flat).exp()
-            return (
-                acb_mat(size, size, [whole[i, j] for i in range(size) for j in range(size)]),
-                acb_mat(size, size, [whole[i, size + j] for i in range(size) for j in range(size)]),
-            )
+            return self._exponential_of_blocks(t)
         # e^{(D + rest) t} and e^{D t} differ by at most e^{t (mu + |rest|)} - e^{t mu}, mu = max Re d.
         longest = t.upper()
         mu = max((v.real.upper() for v in self.values), default=arb(0))
         spread = ((longest * (mu + self.error)).exp() - (longest * mu).exp()).abs_upper()
         halo, halo_integral = _disc(spread), _disc(spread * longest)
-        e = [[(v * t).exp() if i == j else acb(0) for j in range(size)] for i, v in enumerate(self.values)]
-        g = [[_integral(v, t) if i == j else acb(0) for j in range(size)] for i, v in enumerate(self.values)]
-        return (
-            acb_mat(size, size, [v + halo for row in e for v in row]),
-            acb_mat(size, size, [v + halo_integral for row in g for v in row]),
-        )
+        e, g = ([function(v, t) for v in self.values] for function in (_exponential, _integral))
+        return _near_diagonal(e, halo), _near_diagonal(g, halo_integral)
+
+    def _exponential_of_blocks(self, t: arb) -> tuple[acb_mat, acb_mat]:
+        """The same from ``exp([[A, I], [0, 0]] t)``, for a defective A."""
+        size = self.matrix.nrows()
+        whole = acb_mat(2 * size, 2 * size)
+        _place(whole, self.matrix * acb(t), 0, 0)
+        _place(whole, identity(size) * acb(t), 0, size)
+        whole = whole.exp()
+        return _block(whole, size, 0, 0), _block(whole, size, 0, size)
 
     def resolvent(self, h: arb) -> acb_mat:
         """An enclosure of ``(I - h A)^{-1}`` in these coordinates. Raises ZeroDivisionError if it may not exist."""
-        size = self.matrix.nrows()
         if self.values is None:
-            return (identity(size) - self.matrix * acb(h)).inv()
+            return (identity(self.matrix.nrows()) - self.matrix * acb(h)).inv()
         e = [1 / (1 - v * h) for v in self.values]
         largest = max((v.abs_upper() for v in e), default=arb(0))
         factor = h.abs_upper() * self.error * largest
         if not factor < 1:
             raise ZeroDivisionError
         halo = _disc((largest * factor / (1 - factor)).abs_upper())
-        return acb_mat(size, size, [(e[i] if i == j else acb(0)) + halo for i in range(size) for j in range(size)])
+        return _near_diagonal(e, halo)
+
+
+def _near_diagonal(values: Sequence[acb], halo: acb) -> acb_mat:
+    """The diagonal matrix of the values, every entry known up to the halo."""
+    size = len(values)
+    return acb_mat(size, size, [(v if i == j else acb(0)) + halo for i, v in enumerate(values) for j in range(size)])
+
+
+def _block(matrix: acb_mat, size: int, row: int, column: int) -> acb_mat:
+    """The square block that begins there."""
+    return acb_mat(size, size, [matrix[row + i, column + j] for i in range(size) for j in range(size)])
 
 
 def _disc(radius: arb) -> acb:
     """The complex numbers of at most this modulus, in a square."""
     side = arb(0, radius.upper())
     return acb(side, side)
+
+
+def _exponential(v: acb, t: arb) -> acb:
+    return (v * t).exp()
 
 
 def _integral(v: acb, t: arb) -> acb:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Set
+from collections.abc import Iterable
 from fractions import Fraction
 
 from flint import fmpq, fmpq_mpoly
 
-from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.coefficients import Coefficients
+from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import fraction, rational
 
 #: A ratio of numbers below this is shown as one, else as a decimal.
@@ -25,39 +26,14 @@ def number(value: Fraction, digits: int = 12) -> str:
 
 def formula(function: Quotient, parameters: Iterable[int] = ()) -> str:
     """The function as text in the names of its field; symbols in ``parameters`` form the coefficients."""
-    return _Printer(function.field, frozenset(parameters)).function(function)
-
-
-def by_states(function: Quotient, parameters: Set[int]) -> dict[tuple[int, ...], Quotient] | None:
-    """The coefficient of each power product of states and atoms, a function of the parameters alone.
-
-    Args:
-        function: what is taken apart.
-        parameters: symbols, and atoms, that belong to the coefficients.
-
-    Returns:
-        Coefficients by the exponents of their products; None where the denominator holds a state.
-    """
-    field = function.field
-    if any(degree and k not in parameters for k, degree in enumerate(function.denominator.degrees())):
-        return None
-    groups: dict[tuple[int, ...], dict[tuple[int, ...], fmpq]] = {}
-    for raw, coefficient in function.numerator.to_dict().items():
-        exponents = tuple(int(e) for e in raw)
-        state = tuple(0 if k in parameters else e for k, e in enumerate(exponents))
-        rest = tuple(e if k in parameters else 0 for k, e in enumerate(exponents))
-        groups.setdefault(state, {})[rest] = coefficient
-    return {
-        state: field.quotient(field.context.from_dict(terms), function.denominator) for state, terms in groups.items()
-    }
+    return _Printer(Coefficients(function.field, parameters)).function(function)
 
 
 class _Printer:
     """Prints the functions of one field."""
 
-    def __init__(self, field: Field, parameters: frozenset[int]) -> None:
-        self.field = field
-        self.parameters = parameters | {k for k, a in field.atoms.items() if a.argument.symbols() <= parameters}
+    def __init__(self, coefficients: Coefficients) -> None:
+        self.field, self.coefficients = coefficients.field, coefficients
         self._atoms: dict[int, str] = {}
 
     def generator(self, k: int) -> str:
@@ -72,7 +48,7 @@ class _Printer:
     def function(self, function: Quotient) -> str:
         if function.is_zero():
             return "0"
-        groups = by_states(function, self.parameters)
+        groups = self.coefficients.split(function)
         if groups is None:
             return self._ratio(function.numerator, function.denominator)
         terms = []

@@ -18,8 +18,8 @@ import sympy
 from flint import fmpq, fmpq_mpoly
 from sympy.printing.latex import LatexPrinter
 
-from pbcgen.symbolic.display import by_states
-from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.coefficients import Coefficients
+from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import fraction
 from pbcgen.symbolic.tape import Matrix, Tape
 
@@ -211,16 +211,15 @@ def from_function(function: Quotient, parameters: Iterable[int] = (), largest: i
     operations = len(function.numerator) + len(function.denominator)
     if operations > largest:
         return TooLarge(operations)
-    result: Formula = _Exact(function.field, frozenset(parameters)).function(function)
+    result: Formula = _Exact(Coefficients(function.field, parameters)).function(function)
     return result
 
 
 class _Exact:
     """Functions of one field as SymPy expressions."""
 
-    def __init__(self, field: Field, parameters: frozenset[int]) -> None:
-        self.field = field
-        self.parameters = parameters | {k for k, a in field.atoms.items() if a.argument.symbols() <= parameters}
+    def __init__(self, coefficients: Coefficients) -> None:
+        self.field, self.coefficients = coefficients.field, coefficients
         self._generators: dict[int, Any] = {}
 
     def generator(self, k: int) -> Any:
@@ -234,7 +233,7 @@ class _Exact:
         return self._generators[k]
 
     def function(self, function: Quotient) -> Any:
-        groups = by_states(function, self.parameters)
+        groups = self.coefficients.split(function)
         if groups is None:
             return self._ratio(function.numerator, function.denominator)
         total: Any = sympy.Integer(0)
