@@ -31,10 +31,11 @@ from pbcgen.passivity.assignable import greedy_rows, residual_of, scale_of
 from pbcgen.passivity.equilibrium import combination
 from pbcgen.passivity.obstruction import obstruction
 from pbcgen.passivity.plant import Point
-from pbcgen.passivity.shaping import diagonal, exact_matrix, extended_hessian, shape_at
+from pbcgen.passivity.shaping import extended_hessian, shape_at
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import RealMatrix, Rows, positive_definite
+from pbcgen.proof.definite import positive_definite
 from pbcgen.symbolic.real import BITS, Real, approximate, fraction, lower, midpoint, precision, rational, sign, upper
+from pbcgen.symbolic.real_matrices import RealMatrix, Rows, diagonal, exact_matrix
 from pbcgen.symbolic.tape import Tape
 from pbcgen.verify.files import FORMAT, digest
 

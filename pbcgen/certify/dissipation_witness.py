@@ -15,18 +15,18 @@ from pbcgen.models.laws import NaturalDamping, base_law
 from pbcgen.passivity.dissipation import constant_part, is_diagonal, port_damping
 from pbcgen.passivity.plant import Plant, columns, dot
 from pbcgen.passivity.region import Region
-from pbcgen.passivity.shaping import congruence, diagonal, transpose
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.passivity.theta import SPARE, filter_gain, needed_damping, required
 from pbcgen.proof.branch import Formula, formula_of, zero_set
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix, dense, inverse, positive_semidefinite
+from pbcgen.proof.definite import positive_semidefinite
 from pbcgen.proof.sos import find as find_squares
 from pbcgen.proof.squares import Factor, Leaf, Square, decompose, decompose_matrix, of_programme
 from pbcgen.proof.tree import tree
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.plain.formulas import Formulas
 from pbcgen.symbolic.real import Real, midpoint, rational
+from pbcgen.symbolic.real_matrices import RealMatrix, congruence, dense, diagonal, inverse, transpose
 from pbcgen.symbolic.tape import Tape
 
 #: A letter each.

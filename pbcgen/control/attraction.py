@@ -28,8 +28,8 @@ from pbcgen.control.stability import LYAPUNOV
 from pbcgen.passivity.shaping import shape_at
 from pbcgen.proof.boxes import Box, halves, lengths, longest_side
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix, dense, inverse
 from pbcgen.symbolic.real import BITS, approximate, enclose, midpoint, precision, rational
+from pbcgen.symbolic.real_matrices import RealMatrix, dense, inverse
 
 #: Bits for branch and bound: the enclosures are wide anyway.
 _BITS = 64

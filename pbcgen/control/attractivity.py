@@ -18,9 +18,9 @@ from pbcgen.models.laws import DynamicExtension, PassiveOutput
 from pbcgen.passivity.lasalle import InvariantSet
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import as_balls
 from pbcgen.symbolic.linear import Row, reduce_rows
 from pbcgen.symbolic.real import BITS, REAL, precision, reals, sign
+from pbcgen.symbolic.real_matrices import as_balls
 
 
 def beyond_linearisation(situation: Situation, by_lyapunov: bool) -> Claim | None:

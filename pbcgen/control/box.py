@@ -28,11 +28,11 @@ from pbcgen.law.settings import Setting, Settings
 from pbcgen.models.design import Design
 from pbcgen.models.laws import Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.passivity.plant import Point
-from pbcgen.passivity.shaping import diagonal, exact_matrix, extended_hessian, shape_at
+from pbcgen.passivity.shaping import extended_hessian, shape_at
 from pbcgen.passivity.target_map import NotExplicit, TargetMap
 from pbcgen.proof.boxes import Box, halves
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import RealMatrix, positive_definite
+from pbcgen.proof.definite import positive_definite
 from pbcgen.proof.lyapunov import Kind
 from pbcgen.proof.modal import Varying, blurs, contract
 from pbcgen.proof.spectrum import hurwitz, schur
@@ -49,6 +49,7 @@ from pbcgen.symbolic.real import (
     text,
     upper,
 )
+from pbcgen.symbolic.real_matrices import RealMatrix, diagonal, exact_matrix
 
 #: Cells that are tried before the claim stays open.
 _CELLS: Final = 2500

@@ -18,9 +18,9 @@ from flint import arb, arb_mat
 from pbcgen.law.graph import LawGraph
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.target_map import TargetMap
-from pbcgen.proof.definite import RealMatrix
 from pbcgen.sampling.transition import real_identity
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, ball, precision, rational, reals
+from pbcgen.symbolic.real_matrices import RealMatrix
 from pbcgen.symbolic.tape import Tape
 
 Which = Literal["hurwitz", "schur"]

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from pbcgen.control.envelope import Envelope, log_cosh
 from pbcgen.control.situation import Situation
 from pbcgen.models.laws import NaturalDamping
-from pbcgen.passivity.shaping import congruence, multiply, transpose
 from pbcgen.proof.boxes import Box
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix, positive_definite, positive_semidefinite
+from pbcgen.proof.definite import positive_definite, positive_semidefinite
 from pbcgen.symbolic.real import BITS, Real, approximate, ball, enclose, is_finite, lower, precision, rational, upper
+from pbcgen.symbolic.real_matrices import RealMatrix, congruence, multiply, transpose
 from pbcgen.symbolic.tape import Tape
 
 

@@ -28,10 +28,11 @@ from pbcgen.passivity.region import Region
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.branch import Budget
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix, positive_semidefinite
+from pbcgen.proof.definite import positive_semidefinite
 from pbcgen.proof.elimination import semidefinite
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import approximate, fraction, rational
+from pbcgen.symbolic.real_matrices import RealMatrix
 
 Floats = NDArray[np.float64]
 

@@ -23,21 +23,15 @@ from pbcgen.passivity.damping_search import Port
 from pbcgen.passivity.passive_output import gives_output
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.region import Region
-from pbcgen.passivity.shaping import multiply, transpose
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import (
-    RealMatrix,
-    SparseRow,
-    dense,
-    inverse,
-    positive_semidefinite,
-)
+from pbcgen.proof.definite import positive_semidefinite
 from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.proof.spot import Spots
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO, Real, fraction, rational, text
+from pbcgen.symbolic.real_matrices import RealMatrix, SparseRow, dense, inverse, multiply, transpose
 
 
 @dataclass(frozen=True, eq=False)

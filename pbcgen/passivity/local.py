@@ -14,9 +14,9 @@ from flint import fmpq
 
 from pbcgen.passivity.construction import drift_by_construction
 from pbcgen.passivity.plant import Plant, Point
-from pbcgen.proof.definite import RealMatrix, inverse
 from pbcgen.symbolic.continued import continued
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, reals
+from pbcgen.symbolic.real_matrices import RealMatrix, inverse
 from pbcgen.symbolic.tape import Matrix, Tape
 
 

@@ -7,24 +7,25 @@ from fractions import Fraction
 from math import isfinite
 
 import casadi as ca
-from flint import fmpq
 
 from pbcgen.passivity.local import Local
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import (
-    Definiteness,
+from pbcgen.proof.definite import Definiteness, eigenvalues, positive_definite, smallest_eigenvalue, solve_positive
+from pbcgen.symbolic.real import BITS, ZERO, Real, is_finite, precision, radius, rational, sign, text
+from pbcgen.symbolic.real_matrices import (
     RealMatrix,
     SparseRow,
+    add,
     as_balls,
-    eigenvalues,
+    congruence,
+    diagonal,
+    exact_matrix,
+    multiply,
     nonzeros,
-    positive_definite,
-    smallest_eigenvalue,
-    solve_positive,
+    transpose,
 )
-from pbcgen.symbolic.real import BITS, ZERO, Real, is_finite, precision, radius, rational, sign, text
 
 
 @dataclass(frozen=True)
@@ -52,45 +53,6 @@ class Shape:
             for j, entry in zip(reached, row, strict=True):
                 result[i][j] = result[i].get(j, ZERO) + entry
         return result
-
-
-def add(a: RealMatrix, b: RealMatrix) -> RealMatrix:
-    """The entrywise sum."""
-    return [[x + y for x, y in zip(p, q, strict=True)] for p, q in zip(a, b, strict=True)]
-
-
-def multiply(a: RealMatrix, b: RealMatrix) -> RealMatrix:
-    """The matrix product; exact zeros stay exact."""
-    transposed = list(zip(*b, strict=True))
-    return [[_dot(row, column) for column in transposed] for row in a]
-
-
-def _dot(a: object, b: object) -> Real:
-    total: Real = ZERO
-    for x, y in zip(a, b, strict=True):  # type: ignore[call-overload]
-        if not ((isinstance(x, fmpq) and x == 0) or (isinstance(y, fmpq) and y == 0)):
-            total = total + x * y
-    return total
-
-
-def transpose(a: RealMatrix) -> RealMatrix:
-    """The transpose."""
-    return [list(row) for row in zip(*a, strict=True)]
-
-
-def congruence(n: RealMatrix, a: RealMatrix) -> RealMatrix:
-    """``N A N^T``."""
-    return multiply(multiply(n, a), transpose(n))
-
-
-def diagonal(entries: list[Real]) -> RealMatrix:
-    """A diagonal matrix."""
-    return [[entry if i == j else ZERO for j in range(len(entries))] for i, entry in enumerate(entries)]
-
-
-def exact_matrix(rows: tuple[tuple[Fraction, ...], ...]) -> RealMatrix:
-    """Exact gains as a matrix of reals."""
-    return [[rational(entry) for entry in row] for row in rows]
 
 
 def shape_at(plant: Plant, point: Point, gamma: ca.SX, compensated: bool = False) -> Shape:

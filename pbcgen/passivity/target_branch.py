@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.boxes import halves, lengths, longest_side
-from pbcgen.proof.definite import RealMatrix, as_balls
 from pbcgen.proof.newton import float_newton, krawczyk, polish
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, ball, enclose, is_finite, midpoint, precision, rational, reals
+from pbcgen.symbolic.real_matrices import RealMatrix, as_balls
 from pbcgen.symbolic.tape import Tape
 
 #: More unknowns than these are not solved for together.

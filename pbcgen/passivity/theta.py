@@ -24,11 +24,11 @@ from pbcgen.passivity.damping_bounds import exceeds
 from pbcgen.passivity.damping_search import Finding, Port
 from pbcgen.passivity.dissipation import NaturalDampingBounds, dot_real
 from pbcgen.passivity.region import Region
-from pbcgen.passivity.shaping import congruence, diagonal, exact_matrix, multiply, transpose
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import RealMatrix, eigenvalues, positive_definite, positive_semidefinite
+from pbcgen.proof.definite import eigenvalues, positive_definite, positive_semidefinite
 from pbcgen.symbolic.real import ZERO, rational, text
+from pbcgen.symbolic.real_matrices import RealMatrix, congruence, diagonal, exact_matrix, multiply, transpose
 
 _SCHUR = "Schur complement over the rationals"
 _SEARCH = "search for a state with too little damping, confirmed at a rational point"

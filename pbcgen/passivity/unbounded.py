@@ -21,7 +21,7 @@ from pbcgen.passivity.coordinates import proper
 from pbcgen.passivity.inertia import missing_for_definiteness, missing_for_growth
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix, positive_semidefinite
+from pbcgen.proof.definite import positive_semidefinite
 from pbcgen.proof.elimination import definite
 from pbcgen.proof.extrema import term_bounds
 from pbcgen.proof.known import BOUNDED_KINDS
@@ -30,6 +30,7 @@ from pbcgen.proof.sos import sum_of_squares
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO, Real, fraction, rational, sign
+from pbcgen.symbolic.real_matrices import RealMatrix
 from pbcgen.symbolic.terms import terms
 
 #: Forms are sought for functions of at most so many states, with these factors and constants.

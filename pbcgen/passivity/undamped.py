@@ -31,11 +31,11 @@ from numpy.typing import NDArray
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.equation import affine, essentials
 from pbcgen.passivity.plant import Plant, Point
-from pbcgen.proof.definite import quadratic_form
 from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT
 from pbcgen.symbolic.real import BITS, Real, approximate, fraction, precision, sign
+from pbcgen.symbolic.real_matrices import quadratic_form
 from pbcgen.symbolic.tape import Tape
 
 #: Systems with more states are not searched, and no more than so many planes are looked at.

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from flint import arb
 
 from pbcgen.proof.boxes import Box, halves, longest_side
-from pbcgen.proof.definite import RealMatrix, approximate_inverse, as_balls
 from pbcgen.proof.newton import System
 from pbcgen.symbolic.real import Real, ball, enclose, is_finite, midpoint, rational, sign
+from pbcgen.symbolic.real_matrices import RealMatrix, approximate_inverse, as_balls
 
 
 def only_zero(system: System, zero: Sequence[Real], box: Box, boxes: int = 4000) -> bool:

@@ -13,7 +13,7 @@ from fractions import Fraction
 from heapq import heapify, heappop, heappush
 
 import numpy as np
-from flint import arb_mat, fmpq, fmpq_mat
+from flint import fmpq
 
 from pbcgen.proof.claim import Status
 from pbcgen.symbolic.real import (
@@ -29,11 +29,15 @@ from pbcgen.symbolic.real import (
     rational,
     sign,
 )
-
-RealMatrix = list[list[Real]]
-SparseRow = dict[int, Real]
-#: A matrix by rows, each with all entries or with those that are not exactly zero, by column.
-Rows = Sequence[list[Real]] | Sequence[SparseRow]
+from pbcgen.symbolic.real_matrices import (
+    RealMatrix,
+    Rows,
+    SparseRow,
+    as_balls,
+    dense,
+    nonzeros,
+    quadratic_form,
+)
 
 #: Eigenvalues of larger matrices are computed in double precision where that shows all of them.
 _LARGEST_PRECISE = 40
@@ -57,34 +61,6 @@ class Definiteness:
     pivots: tuple[Real, ...]
     witness: tuple[Fraction, ...] | None = None
     value: Real | None = None
-
-
-def nonzeros(matrix: Rows) -> list[SparseRow]:
-    """The entries by row and column that are not exactly zero."""
-    return [
-        {j: e for j, e in (row.items() if isinstance(row, dict) else enumerate(row)) if not _vanishes(e)}
-        for row in matrix
-    ]
-
-
-def dense(rows: Sequence[SparseRow], columns: int) -> RealMatrix:
-    """The rows with all their entries."""
-    return [[row.get(j, ZERO) for j in range(columns)] for row in rows]
-
-
-def _vanishes(entry: Real) -> bool:
-    return isinstance(entry, fmpq) and entry == 0
-
-
-def quadratic_form(matrix: Rows, vector: Sequence[Fraction]) -> Real:
-    """``v^T A v``."""
-    v = [rational(c) for c in vector]
-    total: Real = ZERO
-    for i, row in enumerate(nonzeros(matrix)):
-        for j, entry in row.items():
-            if v[i] != 0 and v[j] != 0:
-                total = total + entry * (v[i] * v[j])
-    return total
 
 
 def _symmetric_part(matrix: Rows) -> dict[int, SparseRow]:
@@ -278,31 +254,6 @@ def _doubles(rows: Sequence[SparseRow]) -> tuple[tuple[list[int], list[int]], li
     """Rows, columns and values of the entries, rounded."""
     places = [i for i, row in enumerate(rows) for _ in row], [j for row in rows for j in row]
     return places, [approximate(entry) for row in rows for entry in row.values()]
-
-
-def as_balls(matrix: RealMatrix) -> arb_mat:
-    """The matrix as balls of the current precision."""
-    return arb_mat([[ball(entry) for entry in row] for row in matrix])
-
-
-def approximate_inverse(matrix: RealMatrix) -> arb_mat | None:
-    """An exact matrix close to the inverse, or None if there may be none: the preconditioner of interval methods."""
-    size = range(len(matrix))
-    try:
-        found = as_balls(matrix).inv()
-    except ZeroDivisionError:
-        return None
-    return arb_mat([[found[i, j].mid() for j in size] for i in size])
-
-
-def inverse(matrix: RealMatrix) -> RealMatrix | None:
-    """The inverse, exact or enclosed; None if it may be singular."""
-    try:
-        if all(isinstance(entry, fmpq) for row in matrix for entry in row):
-            return [list(row) for row in fmpq_mat(matrix).inv().tolist()]
-        return [list(row) for row in as_balls(matrix).inv().tolist()]
-    except ZeroDivisionError:
-        return None
 
 
 def solve_positive(matrix: Rows, right: RealMatrix) -> RealMatrix | None:

@@ -16,8 +16,8 @@ from flint import arb, arb_mat
 from numpy.typing import NDArray
 
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix
 from pbcgen.symbolic.real import approximate, ball, precision
+from pbcgen.symbolic.real_matrices import RealMatrix
 
 Floats: TypeAlias = NDArray[np.float64]
 Kind: TypeAlias = Literal["hurwitz", "schur"]

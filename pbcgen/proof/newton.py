@@ -10,8 +10,8 @@ import numpy as np
 from flint import arb, arb_mat
 from numpy.typing import NDArray
 
-from pbcgen.proof.definite import RealMatrix, approximate_inverse, as_balls
 from pbcgen.symbolic.real import Real, ball, is_finite, midpoint, rational
+from pbcgen.symbolic.real_matrices import RealMatrix, approximate_inverse, as_balls
 
 #: z -> (F(z), F'(z)) over balls.
 System = Callable[[list[Real]], tuple[list[Real], RealMatrix]]

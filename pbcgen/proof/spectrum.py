@@ -16,12 +16,10 @@ from flint import acb, acb_mat, ctx, fmpq, fmpq_mat
 from numpy.typing import NDArray
 
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix, as_balls
 from pbcgen.proof.lyapunov import Kind, LyapunovProof, lyapunov
 from pbcgen.symbolic.real import (
     ZERO,
     Real,
-    approximate,
     ball,
     in_high_precision,
     is_finite,
@@ -31,6 +29,7 @@ from pbcgen.symbolic.real import (
     rational,
     sign,
 )
+from pbcgen.symbolic.real_matrices import RealMatrix, as_balls, as_floats
 
 #: Matrices up to this size are decided by the Routh array first, larger ones by a Lyapunov matrix.
 _LARGEST_ROUTH = 20
@@ -98,11 +97,6 @@ def approximate_eigenvalues(matrix: RealMatrix) -> list[complex]:
         middle = acb_mat([[ball(rational(midpoint(entry))) for entry in row] for row in matrix])
         values = near_eigenvalues(middle)
     return sorted((complex(float(midpoint(v.real)), float(midpoint(v.imag))) for v in values), key=lambda z: -z.real)
-
-
-def as_floats(matrix: RealMatrix) -> NDArray[np.float64]:
-    """The matrix rounded."""
-    return np.array([[approximate(entry) for entry in row] for row in matrix], dtype=float)
 
 
 def eigenvalues_in_doubles(matrix: NDArray[np.float64]) -> list[complex]:

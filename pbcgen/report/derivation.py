@@ -13,9 +13,9 @@ import casadi as ca
 from pbcgen.control.derive import Derivation
 from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.passivity.plant import Plant
-from pbcgen.passivity.shaping import Shape, diagonal, shape_at
+from pbcgen.passivity.shaping import Shape, shape_at
 from pbcgen.passivity.structure import PowerStructure
-from pbcgen.proof.definite import dense, eigenvalues
+from pbcgen.proof.definite import eigenvalues
 from pbcgen.report.law_formulas import LAWS, formulas_of
 from pbcgen.report.mathematics import (
     Formula,
@@ -31,6 +31,7 @@ from pbcgen.report.mathematics import (
 )
 from pbcgen.report.stability_steps import lyapunov_step, proved, sampled_step
 from pbcgen.symbolic.real import BITS, precision, rational
+from pbcgen.symbolic.real_matrices import dense, diagonal
 from pbcgen.symbolic.sympy_form import name_as_latex
 
 

@@ -20,10 +20,9 @@ from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.passivity.local import Local
 from pbcgen.passivity.plant import Plant, Point
-from pbcgen.passivity.shaping import add, diagonal, exact_matrix, multiply
-from pbcgen.proof.definite import RealMatrix, inverse
 from pbcgen.sampling.transition import LinearLoop
 from pbcgen.symbolic.real import BITS, ONE, ZERO, Real, precision, rational
+from pbcgen.symbolic.real_matrices import RealMatrix, add, diagonal, exact_matrix, inverse, multiply
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,12 +12,11 @@ import numpy as np
 from flint import acb, arb
 from numpy.typing import NDArray
 
-from pbcgen.passivity.shaping import add, diagonal, multiply
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix, inverse
-from pbcgen.proof.spectrum import Stability, as_floats, eigenvalues_in_doubles, schur, zero_order_hold
+from pbcgen.proof.spectrum import Stability, eigenvalues_in_doubles, schur, zero_order_hold
 from pbcgen.sampling.transition import Basis, LinearLoop, Transition, complex_matrix, midpoints
 from pbcgen.symbolic.real import BITS, ONE, ball, near_eigenvalues, precision, rational
+from pbcgen.symbolic.real_matrices import RealMatrix, add, as_floats, diagonal, inverse, multiply
 
 #: Periods of the estimate grow by this factor.
 _RATIO = 1.4

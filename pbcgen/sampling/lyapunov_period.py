@@ -22,12 +22,12 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.laws import DynamicExtension, Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.passivity.dissipation import port_damping
 from pbcgen.passivity.plant import Plant
-from pbcgen.passivity.shaping import diagonal, exact_matrix, transpose
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix, positive_definite, positive_semidefinite
+from pbcgen.proof.definite import positive_definite, positive_semidefinite
 from pbcgen.proof.extrema import term_bounds
 from pbcgen.symbolic.real import rational
+from pbcgen.symbolic.real_matrices import RealMatrix, diagonal, exact_matrix, transpose
 
 #: The bound on h is given as a rational below the true one by at most this factor.
 _SHARP = Fraction(1, 10**9)

@@ -12,9 +12,8 @@ from fractions import Fraction
 
 from flint import acb, acb_mat, arb, arb_mat
 
-from pbcgen.passivity.shaping import add, multiply
-from pbcgen.proof.definite import RealMatrix
 from pbcgen.symbolic.real import BITS, ball, precision, rational
+from pbcgen.symbolic.real_matrices import RealMatrix, add, multiply
 
 #: Residual of an approximate diagonalisation, relative to the matrix, above which it is not used.
 _DIAGONAL = 1e-20

@@ -1,1 +1,1 @@
-"""The instruction tape of a CasADi expression and the arithmetics that run it: exact rationals and balls."""
+"""The instruction tape of a CasADi expression, and what it is run over: exact functions, exact numbers and balls."""

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, base_law
-from pbcgen.proof.definite import RealMatrix
 from pbcgen.sampling.family import LoopFamily
 from pbcgen.symbolic.real import approximate
+from pbcgen.symbolic.real_matrices import RealMatrix
 from pbcgen.tuning.gain_space import rebuilt
 from pbcgen.tuning.trial import entries
 

@@ -19,15 +19,16 @@ from pbcgen.models.design import Design
 from pbcgen.models.gains import Vector
 from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.passivity.dissipation import port_damping
-from pbcgen.passivity.shaping import Shape, add, diagonal, exact_matrix, shape_at
+from pbcgen.passivity.shaping import Shape, shape_at
 from pbcgen.passivity.storage import assumption_1
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import inverse, positive_definite
+from pbcgen.proof.definite import positive_definite
 from pbcgen.sampling.family import LoopFamily
 from pbcgen.sampling.linearisation import Figures, Spectrum
 from pbcgen.sampling.lyapunov_period import LyapunovPeriods, lyapunov_periods
 from pbcgen.symbolic.real import approximate, rational
+from pbcgen.symbolic.real_matrices import add, diagonal, exact_matrix, inverse
 from pbcgen.tuning.gain_scale import natural_scale
 from pbcgen.tuning.gain_space import Space, rebuilt, totals
 from pbcgen.tuning.trial import Response, Trial, entries, response

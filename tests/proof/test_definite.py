@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import eigenvalues, positive_definite, positive_semidefinite, quadratic_form
+from pbcgen.proof.definite import eigenvalues, positive_definite, positive_semidefinite
 from pbcgen.symbolic.real import precision, rational, sign
+from pbcgen.symbolic.real_matrices import quadratic_form
 
 MARGIN = Fraction(1, 10**6)
 PROVED, REFUTED, UNDECIDED = Status.PROVED, Status.REFUTED, Status.UNDECIDED
