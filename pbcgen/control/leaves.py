@@ -15,11 +15,12 @@ from flint import fmpq
 from pbcgen.control.situation import Situation
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.plant import Plant, columns
-from pbcgen.passivity.shaping import diagonal, extended_hessian, shape_at
+from pbcgen.passivity.shaping import extended_hessian, shape_at
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.definite import SparseRow, positive_definite
+from pbcgen.proof.definite import positive_definite
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import BITS, ZERO, Real, approximate, precision, rational, text
+from pbcgen.symbolic.real_matrices import SparseRow, diagonal
 
 #: What t is tried to be, as multiples of the ratio of the largest entries.
 _WEIGHTS = tuple(fmpq(1000) ** k for k in range(5))
