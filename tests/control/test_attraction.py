@@ -133,10 +133,11 @@ def test_bounded_momenta_are_part_of_the_box():
     assert found.box["p_0"][1] <= 0.5
 
 
-def test_the_region_ends_where_the_inertia_does():
-    """M = 1 - q^2 is positive only for ``|q| < 1``: beyond, the kinetic energy has no lower bound."""
+@pytest.mark.parametrize("inertia", ["M", "M_inv"])
+def test_the_region_ends_where_the_inertia_does(inertia):
+    """1 - q^2 is positive only for ``|q| < 1``: beyond, the kinetic energy has no lower bound."""
     q, p = ca.SX.sym("q"), ca.SX.sym("p")
-    system = Mechanical([q], [p], M=[[1 - q**2]], V=q**2, D=[1], G=[[1]], domain={"q": (-2, 2)})
+    system = Mechanical([q], [p], **{inertia: [[1 - q**2]]}, V=q**2, D=[1], G=[[1]], domain={"q": (-2, 2)})
     found = region(check(Design(system, {"q": 0}, DynamicExtension(2, 3, 5, 1), sample_period="1e-3")), 1500)
     assert found.status == "UNDECIDED" or found.box["q"][1] < 1
 

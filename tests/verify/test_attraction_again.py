@@ -29,7 +29,9 @@ def test_a_box_of_rests_is_bounded_and_searched(name):
         strange = [*box["ends"][:k], [-1, state, end], *box["ends"][k + 1 :]]
         beside = [*box["ends"][:k], [i, -1, end], *box["ends"][k + 1 :]]
         for ends in (tighter, negative, strange, beside):
-            assert _outcome(_with_alone(document, box=box | {"ends": ends})) == "fails", (k, last)
+            for tree in (box["tree"], "."):  # far from x* there is no rest: the box must hold all of them
+                changed = box | {"ends": ends, "tree": tree}
+                assert _outcome(_with_alone(document, box=changed)) == "fails", (k, last, tree)
     assert _outcome(_with_alone(document, box=box | {"ends": []})) == "fails"
     tree = box["tree"]
     for other in ("", ".", tree[:-1], tree + ".", tree.replace(";", "."), "b" + tree[1:], "z" + tree[1:], "1"):

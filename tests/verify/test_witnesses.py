@@ -5,6 +5,7 @@ import functools
 import json
 import re
 from dataclasses import replace
+from fractions import Fraction
 
 import casadi as ca
 import pytest
@@ -585,6 +586,11 @@ def test_positions_at_which_a_compensated_force_is_too_large_are_checked_again()
     assert status(document, claim) == "REFUTED"
     assert outcomes(document)[claim] == "checked"
     assert outcomes(with_witness(document, claim, q=["2", "1"]))[claim] == "fails"  # there is room
+    q = witness(document, claim)["q"]
+    below = Fraction(q[0]) - 1
+    for domain, outcome in ((f"domain q_0 {q[0]} unbounded", "checked"), (f"domain q_0 unbounded {below}", "fails")):
+        bounded = [*document["model"], domain]
+        assert outcomes(signed(document | {"model": bounded}))[claim] == outcome
     wide = _written_for(_arm_within(36, 16))
     for entry in wide["claims"]:
         if entry["claim"] == claim:
