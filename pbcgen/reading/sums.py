@@ -103,7 +103,7 @@ class Sums(System):
             require(bound is not None and a >= 0, "there is no such bound")
             return (self.field.symbols[a] - bound) * (1 if kind == "above" else -1)
         found = never_negative(kind, self.placed[a], self.field.lift(0) if b is None else self.placed[b], alone)
-        require(found is not None and (alone or b is not None or kind in AT_ZERO), "a factor has no sign")
+        require(found is not None and (b is not None or kind in AT_ZERO), "a factor has no sign")
         return found
 
     def _by_boxes(self, place: int, tree: str, used: Sequence[int], zeros: Mapping[str, str]) -> Any:

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pbcgen.certify.writing import Writing
+from pbcgen.symbolic.plain.elimination import Elimination
 from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import is_definite
 from pbcgen.symbolic.plain.spectra import krawczyk, stable
@@ -186,3 +187,62 @@ def test_a_power_without_square_roots_is_not_checked():
 def test_squares_are_completed(make, expected):
     field = Field(2, 4)
     assert field.everywhere(make(*field.symbols).top) == expected
+
+
+def _chain(*equations):
+    """Two variables a, b with the rates b and -a, and equations of them."""
+    field = Field(2, 8)
+    a, b = field.symbols
+    return field, Elimination(field, [b, -a], [field.lift(e(field, a, b)) for e in equations])
+
+
+def test_a_step_is_accepted_where_the_equation_gives_the_variable():
+    for equation in (
+        lambda f, a, b: a - b * b,
+        lambda f, a, b: power(a - b * b, fmpq(3)) * (1 + b * b),
+        lambda f, a, b: apply("tanh", (a - b * b) * 2),
+    ):
+        field, chain = _chain(equation)
+        b = field.symbols[1]
+        kind = ("tanh", fmpq(2)) if len(chain.field.atoms) else ()
+        assert chain.solve(0, 0, b * b, *kind)
+        assert (chain.solved[0] - b * b).top.is_zero()
+        assert (chain.equations[-1] - (b + 2 * b * field.symbols[0])).top.is_zero()  # a' - 2 b b'
+
+
+@pytest.mark.parametrize(
+    ("equation", "value"),
+    [
+        (lambda f, a, b: a * a - 1, lambda f, a, b: f.lift(1)),  # or -1
+        (lambda f, a, b: (a - b) * b, lambda f, a, b: b),  # or b = 0
+        (lambda f, a, b: (a - b) * (2 + b), lambda f, a, b: b),  # or b = -2
+        (lambda f, a, b: apply("sin", a), lambda f, a, b: f.lift(0)),
+        (lambda f, a, b: a - b, lambda f, a, b: -b),
+        (lambda f, a, b: a - b, lambda f, a, b: b * 2 - a),  # it says nothing of a but by a
+        (lambda f, a, b: a - b, lambda f, a, b: a + (a - b)),
+        (lambda f, a, b: f.lift(0) * a, lambda f, a, b: b),
+    ],
+)
+def test_a_step_is_refused_where_the_equation_gives_no_such_value(equation, value):
+    field, chain = _chain(equation)
+    before = len(chain.equations)
+    assert not chain.solve(0, 0, value(field, *field.symbols))
+    assert chain.solved == {}
+    assert len(chain.equations) == before
+
+
+def test_a_variable_is_given_once_and_not_by_what_was_given_before():
+    field, chain = _chain(lambda f, a, b: a - b, lambda f, a, b: b - a * a)
+    a, b = field.symbols
+    assert chain.solve(0, 0, b)
+    assert not chain.solve(0, 0, b)
+    assert not chain.solve(1, 1, a * a)
+
+
+def test_an_odd_function_is_undone_only_if_it_increases_and_its_scale_is_not_zero():
+    field, chain = _chain(lambda f, a, b: apply("tanh", a - b), lambda f, a, b: apply("sin", a - b))
+    b = field.symbols[1]
+    assert not chain.solve(1, 0, b, "sin")
+    assert not chain.solve(0, 0, b, "tanh", fmpq(0))
+    assert not chain.solve(0, 0, b, "tanh", fmpq(2))
+    assert chain.solve(0, 0, b, "tanh")

@@ -161,6 +161,25 @@ def test_a_box_is_no_proof_for_another_domain():
     assert outcomes(signed(wider))["assumption-1"] == "fails"
 
 
+def test_half_a_line_is_no_proof_for_the_other_half():
+    x, y = ca.SX.sym("x0"), ca.SX.sym("x1")
+    system = AffineSystem(
+        [x, y], [ca.SX.sym("u")], [y, -x - (1 + x) * y], [0, 1], (x**2 + y**2) / 2, domain={"x0": (-1, None)}
+    )
+    document = _written_for(Design(system, [0, 0], DynamicExtension(2, 3, 5, 1), sample_period="1e-3"))
+    assert next(e for e in document["claims"] if e["claim"] == "assumption-1")["domain"] == "x0 >= -1"
+    assert outcomes(document)["assumption-1"] == "checked"
+    for domain, bounds in (("x0 <= -1", "unbounded -1"), ("x0 <= 1", "unbounded 1"), ("x0 >= -2", "-2 unbounded")):
+        changed = copy.deepcopy(document)
+        for entry in changed["claims"]:
+            entry["domain"] = domain if entry["claim"] == "assumption-1" else entry["domain"]
+        assert outcomes(signed(changed))["assumption-1"] == "fails", domain
+        changed["model"] = [
+            f"domain x0 {bounds}" if line.startswith("domain x0") else line for line in changed["model"]
+        ]
+        assert outcomes(signed(changed))["assumption-1"] == "fails", bounds
+
+
 def _with_storage(P):
     """The certificate of the chain with this storage for its sampled loop, and nothing else for that claim."""
     document = copy.deepcopy(document_of("slowly_sampled_chain"))
