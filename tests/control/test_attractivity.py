@@ -307,6 +307,15 @@ def test_a_symmetric_mode_is_not_damped_by_springs_that_stiffen():
     assert "PROVED" not in _statuses(system, {"q_1": 0}, near={"q_0": 0, "q_2": 0})[1:]
 
 
+@pytest.mark.parametrize(("a", "b", "quartic"), [(0.5, 0.5, 1), (0.5, 0.25, 0)])
+def test_what_swings_while_the_output_sees_a_constant_is_not_damped(a, b, quartic):
+    """The output sees a q1^2 + b q2^2, which stays what it is while (q1, q2) runs around an ellipse."""
+    q, p = ca.SX.sym("q", 3), ca.SX.sym("p", 3)
+    swing = q[0] * (a * q[1] ** 2 + b * q[2] ** 2) / 2 + quartic * (q[1] ** 2 + q[2] ** 2) ** 2
+    system = Mechanical(q, p, M=ca.SX.eye(3), V=ca.sumsqr(q) / 2 + swing, G=[[1], [0], [0]], D=[1, 0, 0])
+    assert "PROVED" not in _statuses(system, {"q_0": 0, "q_1": 0, "q_2": 0})[1:]
+
+
 def _pair(target):
     """Two equal masses on stiffening springs, pushed together."""
     q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)

@@ -71,6 +71,16 @@ def test_a_zero_on_the_diagonal_needs_a_zero_row():
     assert positive_semidefinite(_matrix([[5, 0, 0], [0, 0, 1], [0, 1, 0]])).status is REFUTED
 
 
+def test_a_zero_on_the_diagonal_with_a_row_that_may_not_be_zero_is_left_open():
+    with precision(333):
+        near, below = arb(0, arb(2) ** -300), arb(2) ** -200
+    assert positive_semidefinite([[fmpq(0), near], [near, fmpq(0)]]).status is UNDECIDED
+    assert positive_semidefinite([[fmpq(0), near], [near, fmpq(5)]]).status is UNDECIDED
+    assert positive_semidefinite([[near, fmpq(0)], [fmpq(0), fmpq(5)]]).status is UNDECIDED
+    assert positive_semidefinite([[fmpq(0), below], [below, fmpq(0)]]).status is REFUTED
+    assert positive_semidefinite([[fmpq(0), -below], [-below, fmpq(0)]]).status is REFUTED
+
+
 def test_what_is_not_finite_is_left_open():
     nan = [[fmpq(1), arb.nan()], [arb.nan(), fmpq(1)]]
     assert positive_definite(nan).status is UNDECIDED
