@@ -59,7 +59,12 @@ FRICTION = {
     "touching zero at a point": (lambda a, b, v: ((b - 1.7) ** 2, 1), 5, "REFUTED", "REFUTED"),
     "negative in a band": (lambda a, b, v: (1 - 1.001 * _bell(b), 1), 5, "REFUTED", "REFUTED"),
     "vanishing far away": (lambda a, b, v: (1 / (1 + b**2), 1), 5, "UNDECIDED", "REFUTED"),
-    "above a constant that nothing shows": (lambda a, b, v: (1, (b - 1) ** 2 + ca.exp(-b)), 5, "UNDECIDED", "UNDECIDED"),
+    "above a constant that nothing shows": (
+        lambda a, b, v: (1, (b - 1) ** 2 + ca.exp(-b)),
+        5,
+        "UNDECIDED",
+        "UNDECIDED",
+    ),
     "none": (lambda a, b, v: (0, 1), 5, "REFUTED", "REFUTED"),
     "none at the port": (lambda a, b, v: (1, 0), 5, "REFUTED", "REFUTED"),
 }
