@@ -13,7 +13,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from flint import fmpq
+from flint import fmpq, fmpz
 
 import pbcgen
 from pbcgen.certify.dissipation_witness import natural_damping, passivity, storage, theta_damping
@@ -28,14 +28,14 @@ from pbcgen.models.identity import canonical_text, model_hash
 from pbcgen.models.laws import NaturalDamping, PassiveOutput, PotentialCompensation, base_law
 from pbcgen.models.laws import gains as gains_of
 from pbcgen.passivity.assignable import greedy_rows, residual_of, scale_of
-from pbcgen.passivity.equilibrium import combination
+from pbcgen.passivity.equilibrium import combination, gram_of_inputs
 from pbcgen.passivity.obstruction import obstruction
 from pbcgen.passivity.plant import Point
 from pbcgen.passivity.shaping import extended_hessian, shape_at
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
 from pbcgen.symbolic.real import BITS, Real, approximate, fraction, lower, midpoint, precision, rational, sign, upper
-from pbcgen.symbolic.real_matrices import RealMatrix, Rows, diagonal, exact_matrix
+from pbcgen.symbolic.real_matrices import Rows, diagonal, exact_matrix
 from pbcgen.symbolic.tape import Tape
 from pbcgen.verify.files import FORMAT, digest
 
@@ -229,7 +229,7 @@ def _decimal(value: Fraction) -> str:
     """The number rounded to many digits."""
     if value == 0:
         return "0"
-    exponent = len(str(abs(value.numerator))) - len(str(value.denominator)) - _DIGITS
+    exponent = len(str(fmpz(abs(value.numerator)))) - len(str(fmpz(value.denominator))) - _DIGITS
     return f"{round(value / Fraction(10) ** exponent)}e{exponent}"
 
 
@@ -261,12 +261,6 @@ def _hessian(derivation: Derivation, extended: bool) -> Rows:
     if extended:
         return extended_hessian(shape, stiffness, exact_matrix(base.K_c))  # type: ignore[union-attr]
     return shape.hessian(stiffness)
-
-
-def _input_gram(derivation: Derivation) -> RealMatrix:
-    assert derivation.point is not None
-    g = derivation.plant.system.g
-    return derivation.plant.at(derivation.point, ca.mtimes(g.T, g))[0]
 
 
 def _gain(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
@@ -322,7 +316,7 @@ _PROVED: Mapping[str, _Maker] = {
     "gradient-condition": _gradient,
 }
 _REFUTED: Mapping[str, _Maker] = {
-    "input-rank": _direction(_input_gram),
+    "input-rank": _direction(lambda d: gram_of_inputs(d.plant, d.point)),
     "assumption-1": _state,
     "passive-output": _supplied,
     "hessian-condition": _direction(lambda d: _hessian(d, False)),

@@ -31,7 +31,7 @@ from pbcgen.passivity import passive_output
 from pbcgen.passivity.assignable import assignable_set
 from pbcgen.passivity.damping_search import Port
 from pbcgen.passivity.dissipation import NaturalDampingBounds, assumption_3
-from pbcgen.passivity.equilibrium import Equilibrium, complete, input_rank
+from pbcgen.passivity.equilibrium import Equilibrium, complete, input_rank, without_rank
 from pbcgen.passivity.passive_output import PassiveOutput as PassiveOutputResult
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.region import Region
@@ -143,6 +143,8 @@ def derive(design: Design, progress: Progress = None, scan: bool = False) -> Der
     equilibrium: Equilibrium = stages.run("equilibrium", lambda: complete(plant, design))
     storage: Storage = stages.run("assumption-1", lambda: assumption_1(plant))
     stages.add(equilibrium.claim, storage.claim)
+    if equilibrium.point is None and (rankless := without_rank(plant)) is not None:
+        stages.add(rankless)
     found = stages.run(
         "passive output",
         lambda: passive_output.find(

@@ -13,6 +13,7 @@ from fractions import Fraction
 from math import prod
 
 import casadi as ca
+from flint import arb
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Design
@@ -38,7 +39,11 @@ from pbcgen.symbolic.real import (
     text,
     upper,
 )
+from pbcgen.symbolic.real_matrices import RealMatrix
 from pbcgen.symbolic.tape import exact_decimal
+
+#: The radius of the ball around x* on which the model must be defined.
+_NEAR = 1e-60
 
 
 @dataclass(frozen=True)
@@ -83,7 +88,7 @@ def _verify(plant: Plant, design: Design, equations: Equations, known: Mapping[s
         if unfit:
             return unfit
         evidence = f"f(x*) + g(x*) u* = 0 exactly at {_show(plant, point)}"
-        return Equilibrium(_proved(plant, point, "linear elimination over the rationals", evidence), point)
+        return Equilibrium(_proved("linear elimination over the rationals", evidence), point)
     return Equilibrium(_undecided("the residual is enclosed by balls around zero", values), None)
 
 
@@ -139,7 +144,7 @@ def _accept(
         return unfit
     size = max(radius(v) for v in (*point.x, *point.u))
     evidence = f"one zero of f + g u in a ball of radius {float(size):.1e} around {_show(plant, point)}"
-    return Equilibrium(_proved(plant, point, "Krawczyk test in ball arithmetic", evidence), point, completions)
+    return Equilibrium(_proved("Krawczyk test in ball arithmetic", evidence), point, completions)
 
 
 def combination(plant: Plant, expression: ca.SX, others: ca.SX, known: Mapping[str, Fraction]) -> list[Fraction] | None:
@@ -180,17 +185,8 @@ def _distance(plant: Plant, point: Point, near: Mapping[str, Fraction]) -> float
     return sum((values[name] - float(value)) ** 2 for name, value in near.items())
 
 
-def _proved(plant: Plant, point: Point, method: str, evidence: str) -> Claim:
-    certificate = {
-        "x": [_interval(v) for v in point.x],
-        "u": [_interval(v) for v in point.u],
-        "method": method,
-    }
-    return Claim("equilibrium", Status.PROVED, "at x*", method, evidence, certificate=certificate)
-
-
-def _interval(value: Real) -> list[str]:
-    return [str(lower(value)), str(upper(value))]
+def _proved(method: str, evidence: str) -> Claim:
+    return Claim("equilibrium", Status.PROVED, "at x*", method, evidence)
 
 
 def _undecided(why: str, values: Sequence[Real]) -> Claim:
@@ -268,7 +264,25 @@ def _no_neighbourhood(plant: Plant, point: Point) -> Equilibrium | None:
     if not is_finite(row[0]):
         why = "S has no certain value there: it is undefined, or a comparison in it switches just there"
         return _unfit(why, "choose a target away from that point, or write a smooth storage")
+    unsure = _undefined_near(plant, point)
+    if unsure:
+        why = f"{unsure} has no certain value near it: it is undefined, or grows without bound"
+        return _unfit(why, "choose a target away from that point, or write a term that is defined around it")
     return None
+
+
+def _undefined_near(plant: Plant, point: Point) -> str:
+    """A part of the model that has no certain value on a small ball around x*, for what is said near x* is about f."""
+    system = plant.system
+    parts = {"f": system.f, "g": system.g}
+    if system.mechanical is not None:
+        parts = {"D": system.mechanical.D, "G": system.mechanical.G, "M": system.mechanical.M}
+    ball = Point(tuple(v + arb(0, _NEAR) for v in point.x), point.u)
+    for name, part in parts.items():
+        (values,) = plant.at(ball, ca.densify(part))
+        if not all(is_finite(v) for row in values for v in row):
+            return name
+    return ""
 
 
 def _unfit(why: str, hint: str) -> Equilibrium:
@@ -389,11 +403,26 @@ def _pairs(values: Mapping[str, float], digits: int = 9) -> str:
     return ", ".join(f"{k} = {v if abs(v) > noise else 0:.{digits}g}" for k, v in values.items())
 
 
-def input_rank(plant: Plant, point: Point) -> Claim:
+def gram_of_inputs(plant: Plant, point: Point | None) -> RealMatrix:
+    """``g^T g`` at x*; where g is constant, x* is not needed."""
+    (gram,) = plant.at(
+        point or Point((ZERO,) * plant.system.n, (ZERO,) * plant.system.m), ca.mtimes(plant.system.g.T, plant.system.g)
+    )
+    return gram
+
+
+def without_rank(plant: Plant) -> Claim | None:
+    """The claim `input-rank` REFUTED for a constant g, whether there is an equilibrium or not; else None."""
+    if ca.depends_on(plant.system.g, plant.system.x):
+        return None
+    claim = input_rank(plant, None)
+    return claim if claim.status is Status.REFUTED else None
+
+
+def input_rank(plant: Plant, point: Point | None) -> Claim:
     """The claim `input-rank`: g(x*) has full column rank m."""
-    (gram,) = plant.at(point, ca.mtimes(plant.system.g.T, plant.system.g))
     with precision(BITS):
-        verdict = positive_definite(gram)
+        verdict = positive_definite(gram_of_inputs(plant, point))
     constant = not ca.depends_on(plant.system.g, plant.system.x)
     domain = "all x" if constant else "at x*"
     m = plant.system.m
@@ -405,9 +434,10 @@ def input_rank(plant: Plant, point: Point) -> Claim:
     return Claim(
         "input-rank",
         verdict.status,
-        "at x*",
+        domain,
         "g^T g > 0 by elimination",
-        f"g(x*) does not have full column rank {m}",
-        "remove an input that others duplicate, or choose a target where the inputs are independent",
+        f"g{'' if constant else '(x*)'} does not have full column rank {m}",
+        "remove an input that does nothing, or that others duplicate"
+        + ("" if constant else ", or choose a target where the inputs are independent"),
         counterexample,
     )

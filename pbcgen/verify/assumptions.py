@@ -58,9 +58,11 @@ class Assumptions(Alone):
         require(is_definite(product(transpose(self.numbers("g")), self.numbers("g"))), "g may lose rank at x*")
 
     def refuted_input_rank(self) -> None:
-        """``g v = 0`` at x*."""
+        """``g v = 0`` at x*, or everywhere."""
         v = self.given("input-rank", "v")
-        require(any(v) and all(sign(dot(row, v)) == 0 for row in self.numbers("g")), "g v is not zero")
+        if any(v) and self.model.is_constant("g"):
+            return self.zero([dot(row, v) for row in self.functions("g")], "g v is not zero")
+        return require(any(v) and all(sign(dot(row, v)) == 0 for row in self.numbers("g")), "g v is not zero")
 
     def proved_assumption_1(self) -> None:
         """``-grad S^T f >= 0``."""

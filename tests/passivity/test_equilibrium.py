@@ -280,3 +280,25 @@ def test_short_rationals_that_solve_the_nonlinear_equations_are_exact():
 def test_a_short_rational_beside_the_zero_is_not_taken_for_it():
     """1/2 is nearer to the zero than the balls are wide."""
     assert radius(_cubic("1e-80").x[1]) > 0
+
+
+@pytest.mark.parametrize("damping", [lambda q, p: 1 / p, lambda q, p: 1 / p**2, lambda q, p: ca.sqrt(p)])
+def test_friction_that_is_not_defined_around_the_rest_leaves_it_open(damping):
+    """f is undefined at p = 0, or beside it, although p = 0 and u = grad V solve the equations of a rest."""
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    found = _complete(Mechanical([q], [p], M=[1], V=q**2, D=[damping(q, p)], G=[1]).lower(), {"q": "0.1"})
+    assert found.claim.status is Status.UNDECIDED
+    assert "D has no certain value" in found.claim.evidence
+
+
+def test_friction_that_is_defined_around_the_rest_is_no_matter():
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    for friction in (ca.fabs(p), ca.sqrt(p**2 + 1), 1 / (1 + q)):
+        found = _complete(Mechanical([q], [p], M=[1], V=q**2, D=[friction], G=[1]).lower(), {"q": "0.1"})
+        assert found.claim.status is Status.PROVED
+
+
+def test_tiny_forces_have_long_denominators():
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    V = q**2 - 6000 * ca.exp(-((q - 100) ** 2))
+    assert _complete(Mechanical([q], [p], M=[1], V=V, D=[1], G=[1]).lower(), {"q": 0}).claim.status is Status.PROVED

@@ -6,6 +6,7 @@ from fractions import Fraction
 import casadi as ca
 import pytest
 from certificates import outcomes as outcomes_of
+from certificates import signed
 
 from pbcgen import Design, DynamicExtension, Mechanical, Parameters
 from pbcgen.certify.certificate import certificate
@@ -101,3 +102,16 @@ def test_constants_that_are_irrational_stand_beside_states():
     system = Mechanical([q1, q2], [p1, p2], M=[2, 1], V=V, D=[p.a, p.a], G=[1, 0], parameters=p, measured=["q1"])
     design = Design(system, {"q2": "0.5"}, LAW, sample_period="1e-3", name="irrational")
     assert set(outcomes(derive(design)).values()) == {"checked"}
+
+
+@pytest.mark.parametrize("G", [[[1, 0], [0, 0]], [[1, -2], [0, 0]]])
+def test_inputs_without_rank_are_refuted_although_no_input_is_determined(G):
+    q1, q2, p1, p2 = (ca.SX.sym(name) for name in ("q1", "q2", "p1", "p2"))
+    system = Mechanical([q1, q2], [p1, p2], M=[1, 1], V=q1**2 + q2**2, D=[1, 1], G=G)
+    derivation = derive(Design(system, {"q1": 1, "q2": 0}, LAW, sample_period="1e-3", name="twice"))
+    assert claim_of(derivation, "input-rank").status is Status.REFUTED
+    document = certificate(derivation)
+    assert outcomes_of(document)["input-rank"] == "checked"
+    (entry,) = [entry for entry in document["claims"] if entry["claim"] == "input-rank"]
+    entry["witness"]["v"] = ["1", "1"]
+    assert outcomes_of(signed(document))["input-rank"] == "fails"
