@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from benchmarks.step import FLAGS, run
+from benchmarks.building import FLAGS, run
 from pbcgen import pipeline
 from pbcgen.models.loader import load
 from pbcgen.run.emulate import Image, Machine

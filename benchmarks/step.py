@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from benchmarks import mpc
+from benchmarks.building import FLAGS, run
 from benchmarks.rivals import Rival, rivals
 from pbcgen import pipeline
 from pbcgen.law.closed_loop import ClosedLoop
@@ -28,7 +30,6 @@ if TYPE_CHECKING:
     from pbcgen.law.law import ControlLaw
 
 SYSTEMS = ("coupling_device", "rlc", "pera", "pera_integral")
-FLAGS = ("-std=gnu17", "-O2")
 STEPS = 400
 RESULT = Path(__file__).parent / "results" / "step.md"
 
@@ -111,13 +112,6 @@ int main(void)
     return int(collected[1]) / len(m)
 
 
-def run(command: list[str], directory: Path) -> str:
-    result = subprocess.run(command, cwd=directory, capture_output=True, text=True, check=False)
-    if result.returncode:
-        raise SystemExit(f"{' '.join(command)}\n{result.stderr[-2000:]}")
-    return result.stdout + result.stderr
-
-
 def table(system: str) -> list[str]:
     """The rows of one system."""
     report = pipeline.check(load(system))
@@ -157,8 +151,6 @@ def version(command: str) -> str:
 def predictive(rows: list[str]) -> tuple[list[str], list[str]]:
     """The row of the predictive controller, and what must be known of it; a note alone where it cannot be made."""
     try:
-        from benchmarks import mpc
-
         solve = mpc.measure()
     except ImportError:
         return [], ["OSQP is not installed (pip install osqp): its row is left out"]
