@@ -47,17 +47,8 @@ def rational(
     Returns:
         The largest weighted error, and the coefficients of P and Q from the constant up.
     """
-    n, m = degrees
-    zero = arb(0)
-    first, last = (0 if constant is None else 1), (m if highest is None else m - 1)
-    rows = [
-        [
-            *(v**i for i in range(first, n + 1)),
-            *(-(v**i) * g for i in range(1, last + 1)),
-            g * (1 + (highest or zero) * v**m) - (constant or zero),
-        ]
-        for v, g in zip(x, values, strict=True)
-    ]
+    sought = degrees[0] + (constant is None)  # coefficients of P
+    rows = _equations(x, values, degrees, constant, highest)
     lawson, scale = [1.0] * len(x), [arb(1)] * len(x)
     best: tuple[float, list[arb], list[arb]] = (inf, [], [])
     for iteration in range(_FAST + _SLOW):
@@ -66,8 +57,8 @@ def rational(
             c = _least_squares(rows, factors)
         except ZeroDivisionError:
             break
-        P = [*([] if constant is None else [constant]), *c[: n + 1 - first]]
-        Q = [arb(1), *c[n + 1 - first :], *([] if highest is None else [highest])]
+        P = [*([] if constant is None else [constant]), *c[:sought]]
+        Q = [arb(1), *c[sought:], *([] if highest is None else [highest])]
         scale = [horner(Q, v) for v in x]
         errors = [abs(float((horner(P, v) / q - g) * w)) for v, q, g, w in zip(x, scale, values, weights, strict=True)]
         largest = max(errors)
@@ -75,11 +66,32 @@ def rational(
             break
         if largest < best[0] and all(q > 0 for q in scale):  # there may be a pole among the points on the way
             best = (largest, P, Q)
-        moved = [e / largest + 1e-9 for e in errors]
-        lawson = [v * (e if iteration < _FAST else sqrt(e)) for v, e in zip(lawson, moved, strict=True)]
-        total = sum(lawson)
-        lawson = [v * len(x) / total for v in lawson]
+        lawson = _moved(lawson, [e / largest + 1e-9 for e in errors], iteration < _FAST)
     return best
+
+
+def _equations(
+    x: Sequence[arb], values: Sequence[arb], degrees: tuple[int, int], constant: arb | None, highest: arb | None
+) -> list[list[arb]]:
+    """``P(x) - g Q(x) = 0`` at each point: the factors of the coefficients that are sought, then the right side."""
+    n, m = degrees
+    first, last = (0 if constant is None else 1), (m if highest is None else m - 1)
+    known_P, known_Q = constant or arb(0), highest or arb(0)
+    return [
+        [
+            *(v**i for i in range(first, n + 1)),
+            *(-(v**i) * g for i in range(1, last + 1)),
+            g * (1 + known_Q * v**m) - known_P,
+        ]
+        for v, g in zip(x, values, strict=True)
+    ]
+
+
+def _moved(lawson: Sequence[float], errors: Sequence[float], fast: bool) -> list[float]:
+    """Lawson's weights, multiplied by the errors or by their roots; their mean is one."""
+    grown = [v * (e if fast else sqrt(e)) for v, e in zip(lawson, errors, strict=True)]
+    total = sum(grown)
+    return [v * len(grown) / total for v in grown]
 
 
 def horner(coefficients: Sequence[arb], x: arb) -> arb:
