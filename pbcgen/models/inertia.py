@@ -82,21 +82,8 @@ def _has_exact_inverse(entry: ca.SX) -> bool:
 
 def independent_blocks(M: ca.SX) -> list[list[int]]:
     """The index sets between which M has only structural zeros, each sorted."""
-    n = M.shape[0]
-    neighbours = {i: {i} for i in range(n)}
-    for row, col in zip(*ca.sparsify(M).sparsity().get_triplet(), strict=True):
-        neighbours[row].add(col)
-        neighbours[col].add(row)
-    blocks: list[list[int]] = []
-    left = set(range(n))
-    while left:
-        block, frontier = set[int](), {min(left)}
-        while frontier:
-            block |= frontier
-            frontier = {j for i in frontier for j in neighbours[i]} - block
-        blocks.append(sorted(block))
-        left -= block
-    return blocks
+    count, order, ends = ca.sparsify(M).sparsity().unite(ca.Sparsity.diag(M.shape[0])).scc()
+    return sorted(sorted(order[ends[k] : ends[k + 1]]) for k in range(count))
 
 
 def _cofactor_solve(M: ca.SX, right: ca.SX) -> ca.SX:
