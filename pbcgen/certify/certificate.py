@@ -25,7 +25,7 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.law.compensation import compensated_force
 from pbcgen.law.measure import Measurement, Reading, Unreadable
 from pbcgen.models.identity import canonical_text, model_hash
-from pbcgen.models.laws import NaturalDamping, PassiveOutput, PotentialCompensation, base_law
+from pbcgen.models.laws import NaturalDamping, PassiveOutput, PotentialCompensation, base_law, shaping
 from pbcgen.models.laws import gains as gains_of
 from pbcgen.passivity.assignable import greedy_rows, residual_of, scale_of
 from pbcgen.passivity.equilibrium import combination, gram_of_inputs
@@ -254,12 +254,12 @@ def _hessian(derivation: Derivation, extended: bool) -> Rows:
     assert derivation.point is not None
     assert derivation.gamma is not None
     assert base is not None
-    alpha, beta = (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)
-    stiffness = diagonal([rational(a * b) for a, b in zip(alpha, beta, strict=True)])
+    term = shaping(base)
+    stiffness = diagonal([rational(v) for v in term.stiffness])
     compensated = isinstance(base, PotentialCompensation)
     shape = shape_at(derivation.plant, derivation.point, derivation.gamma, compensated=compensated)
     if extended:
-        return extended_hessian(shape, stiffness, exact_matrix(base.K_c))  # type: ignore[union-attr]
+        return extended_hessian(shape, stiffness, exact_matrix(term.K_c or ()))
     return shape.hessian(stiffness)
 
 

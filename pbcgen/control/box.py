@@ -26,7 +26,7 @@ from pbcgen.control.situation import Situation
 from pbcgen.law.graph import LawGraph
 from pbcgen.law.settings import Setting, Settings
 from pbcgen.models.design import Design
-from pbcgen.models.laws import Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
+from pbcgen.models.laws import Law, PassiveOutput, PotentialCompensation, base_law, shaping
 from pbcgen.passivity.plant import Point
 from pbcgen.passivity.shaping import extended_hessian, shape_at
 from pbcgen.passivity.target_map import NotExplicit, TargetMap
@@ -343,11 +343,10 @@ class _Box:
         """The Hessian condition, that of (x, x_c) where it was proved; the least alpha beta and K_c decide."""
         law = self._law(cell, 0)
         base = base_law(law)
-        alpha, beta = (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)
         shape = shape_at(
             self.situation.plant, point, self.situation.gamma, compensated=isinstance(base, PotentialCompensation)
         )
-        stiffness = diagonal([rational(a * b) for a, b in zip(alpha, beta, strict=True)])
+        stiffness = diagonal([rational(v) for v in shaping(law).stiffness])
         with precision(BITS):
             if self.filtered and not isinstance(base, PassiveOutput):
                 hessian = extended_hessian(shape, stiffness, exact_matrix(base.K_c))

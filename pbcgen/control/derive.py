@@ -25,7 +25,7 @@ from pbcgen.law.law import ControlLaw, Signal
 from pbcgen.law.measure import Measurement
 from pbcgen.law.settings import Settings
 from pbcgen.models.design import Design
-from pbcgen.models.laws import Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
+from pbcgen.models.laws import Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law, shaping
 from pbcgen.models.laws import gains as gains_of
 from pbcgen.passivity import passive_output
 from pbcgen.passivity.assignable import assignable_set
@@ -379,21 +379,19 @@ class _AtTarget:
             self.plant, self.point, self.output.gamma, compensated=isinstance(base, PotentialCompensation)
         )
         stages.add(gradient_condition(self.plant, self.point, shape, self._structure()))
-        alpha, beta = (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)
-        K_c = None if isinstance(base, PassiveOutput) else base.K_c
-        stiffness = tuple(a * b for a, b in zip(alpha, beta, strict=True))
-        verdict: HessianVerdict = hessian_conditions(self.plant, shape, stiffness, K_c)
+        term = shaping(self.law)
+        verdict: HessianVerdict = hessian_conditions(self.plant, shape, term.stiffness, term.K_c)
         stages.add(verdict.hessian)
         matrices = {k: v for k, v in gains_of(self.law).items() if k in ("K_c", "R_c", "K_l", "R_l")}
         if matrices:
             stages.add(gain_definiteness(matrices))  # type: ignore[arg-type]
-        if K_c is not None:
+        if term.K_c is not None:
             stages.add(verdict.kc)
         minimum = verdict.alpha_beta_min
         return {
             "hessian_min_eigenvalue": verdict.smallest_eigenvalue,
             "alpha_beta_min": None if minimum is None else list(minimum) if len(minimum) > 1 else minimum[0],
-            "kc_min": verdict.kc_min if K_c is not None else None,
+            "kc_min": verdict.kc_min if term.K_c is not None else None,
         }
 
     def _measurability(self, read: Needs) -> Claim:

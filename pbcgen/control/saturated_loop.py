@@ -17,7 +17,7 @@ from flint import arb, arb_mat
 from pbcgen.control.derive import Derivation
 from pbcgen.law.compensation import compensated_force
 from pbcgen.models.gains import Matrix, Vector
-from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, base_law
+from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, base_law, shaping
 from pbcgen.sampling.common_storage import Array
 from pbcgen.symbolic.real import REAL, ZERO, Real, approximate, ball, lower, rational, reals, upper
 from pbcgen.symbolic.tape import Tape
@@ -145,20 +145,22 @@ def saturated_loop(found: Derivation) -> SaturatedLoop | None:
     """The loop in (x, zeta, t); None where the derivation stopped before the law, and for `passive-output`."""
     law = found.law
     base = base_law(law)
-    if found.point is None or found.graph is None or found.gamma is None or isinstance(base, PassiveOutput):
+    if found.point is None or found.graph is None or found.gamma is None:
+        return None
+    if law is None or isinstance(base, PassiveOutput):
         return None
     plant, point, system = found.plant, found.point, found.plant.system
     numbers = _Numbers([], [])
     m = system.m
-    natural = isinstance(base, NaturalDamping)
-    alpha, beta = (base.alpha_c, base.beta_c) if natural else (base.alpha, base.beta)  # type: ignore[union-attr]
+    term = shaping(law)
+    beta = term.beta
     z_c, t_c = ca.SX.sym("z_c", m), ca.SX.sym("t_c", m)
     (star,) = plant.at(point, found.gamma)
     gamma = found.gamma - numbers.column([row[0] for row in star])
     force = compensated_force(system, base)
-    a = numbers.vector(alpha)
+    a = numbers.vector(term.alpha)
     u = (numbers.column(list(point.u)) if force is None else force) - a * t_c
-    K_c, R_c = numbers.matrix(base.K_c), numbers.matrix(base.R_c)  # type: ignore[union-attr]
+    K_c, R_c = numbers.matrix(term.K_c or ()), numbers.matrix(term.R_c or ())
     own = [-ca.mtimes(R_c, a * t_c + ca.mtimes(K_c, z_c - gamma))]
     moved, zeta, t = [found.gamma], [z_c], [t_c]
     if isinstance(base, NaturalDamping):

@@ -13,7 +13,7 @@ from pbcgen.control.amplitudes import blocking, largest_amplitudes, rooms
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.law.compensation import compensated_force
 from pbcgen.models.design import Design
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
+from pbcgen.models.laws import Law, PotentialCompensation, amplitudes, base_law
 from pbcgen.models.limits import row_text
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.region import Region, search
@@ -57,17 +57,6 @@ class Saturation:
             low, high = midpoint(found.lo), midpoint(found.hi)
             result.append((low if lo is None else max(low, lo), high if hi is None else min(high, hi)))
         return tuple(result)
-
-
-def amplitudes(law: Law) -> tuple[Fraction, ...]:
-    """The sum of the amplitudes of the tanh terms of each input."""
-    if isinstance(law, Integral):
-        return tuple(a + b for a, b in zip(amplitudes(law.base), law.alpha_psi, strict=True))
-    if isinstance(law, PassiveOutput):
-        return tuple(a + b for a, b in zip(law.alpha, law.k_p, strict=True))
-    if isinstance(law, NaturalDamping):
-        return tuple(a + b for a, b in zip(law.alpha_c, law.alpha_l, strict=True))
-    return tuple(law.alpha)
 
 
 def saturation(

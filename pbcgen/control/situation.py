@@ -13,7 +13,7 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.law.compensation import compensated_force
 from pbcgen.law.gain_matrices import exact_inverse
 from pbcgen.models.gains import Matrix, Vector
-from pbcgen.models.laws import BaseLaw, Integral, Law, NaturalDamping, PassiveOutput, base_law
+from pbcgen.models.laws import BaseLaw, Integral, Law, NaturalDamping, PassiveOutput, base_law, shaping
 from pbcgen.passivity.flow import Flow, flow, flow_by_balance
 from pbcgen.passivity.lasalle import InvariantSet, branches, invariant_set
 from pbcgen.passivity.plant import Plant, Point
@@ -64,12 +64,8 @@ class Situation:
     @property
     def gains(self) -> tuple[Vector, Vector, Matrix | None]:
         """alpha, beta, K_c (None for `passive-output`)."""
-        base = self.base
-        if isinstance(base, NaturalDamping):
-            return base.alpha_c, base.beta_c, base.K_c
-        if isinstance(base, PassiveOutput):
-            return base.alpha, base.beta, None
-        return base.alpha, base.beta, base.K_c
+        term = shaping(self.law)
+        return term.alpha, term.beta, term.K_c
 
     @property
     def compliance(self) -> ca.SX:

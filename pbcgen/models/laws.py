@@ -266,6 +266,48 @@ def base_law(law: Law | None) -> BaseLaw | None:
     return law.base if isinstance(law, Integral) else law
 
 
+@dataclass(frozen=True)
+class Shaping:
+    """The saturated term in gamma of a law, whatever the law calls its gains, and the filter inside it.
+
+    Attributes:
+        alpha: the largest pull, one for each input.
+        beta: how steeply it gets there, likewise.
+        K_c, R_c: of the filter x_c; None for PassiveOutput, which has none.
+    """
+
+    alpha: Vector
+    beta: Vector
+    K_c: Matrix | None = None
+    R_c: Matrix | None = None
+
+    @property
+    def stiffness(self) -> Vector:
+        """alpha beta, one for each input."""
+        return tuple(a * b for a, b in zip(self.alpha, self.beta, strict=True))
+
+
+def shaping(law: Law) -> Shaping:
+    """The term in gamma of a law, or of the base of Integral."""
+    base = base_law(law)
+    if isinstance(base, NaturalDamping):
+        return Shaping(base.alpha_c, base.beta_c, base.K_c, base.R_c)
+    if isinstance(base, PassiveOutput):
+        return Shaping(base.alpha, base.beta)
+    return Shaping(base.alpha, base.beta, base.K_c, base.R_c)
+
+
+def is_amplitude(gain: str) -> bool:
+    """Whether a gain bounds a term of the input."""
+    return gain.startswith("alpha") or gain == "k_p"
+
+
+def amplitudes(law: Law) -> Vector:
+    """The largest pull of all saturated terms together, one for each input."""
+    terms = [value for name, value in gains(law).items() if is_amplitude(name)]
+    return tuple(sum(column, Fraction(0)) for column in zip(*terms, strict=True))
+
+
 def gains(law: Law) -> dict[str, Vector | Matrix]:
     """The gains by name, in the order of the law's arguments; those of the base of Integral come first."""
     found: dict[str, Vector | Matrix] = {}

@@ -19,7 +19,7 @@ from pbcgen.law.compensation import compensated_force
 from pbcgen.models.affine import AffineSystem, Brayton, Mechanics, Structure
 from pbcgen.models.exact import decimal
 from pbcgen.models.gains import is_diagonal
-from pbcgen.models.laws import BaseLaw, NaturalDamping, PassiveOutput, base_law
+from pbcgen.models.laws import BaseLaw, NaturalDamping, base_law, shaping
 from pbcgen.models.parameters import Parameters
 from pbcgen.passivity.inertia import missing_for_definiteness
 from pbcgen.passivity.plant import Plant, SymbolicPlant
@@ -266,15 +266,16 @@ def _gain_values(base: BaseLaw | None) -> list[tuple[str, str, Fraction]]:
     if base is None:
         return []
     damped = isinstance(base, NaturalDamping)
-    alpha, beta = (base.alpha_c, base.beta_c) if isinstance(base, NaturalDamping) else (base.alpha, base.beta)
+    term = shaping(base)
     sub = "_c" if damped else ""
-    m = len(alpha)
+    m = len(term.alpha)
     ends = [""] if m == 1 else [f"_{i + 1}" for i in range(m)]
     found = [
-        ("alpha beta", f"alpha{sub}{end}*beta{sub}{end}", a * b) for end, a, b in zip(ends, alpha, beta, strict=True)
+        ("alpha beta", f"alpha{sub}{end}*beta{sub}{end}", value)
+        for end, value in zip(ends, term.stiffness, strict=True)
     ]
-    if not isinstance(base, PassiveOutput) and is_diagonal(base.K_c):
-        found += [("K_c", f"K_c{end}", base.K_c[i][i]) for i, end in enumerate(ends)]
+    if term.K_c is not None and is_diagonal(term.K_c):
+        found += [("K_c", f"K_c{end}", term.K_c[i][i]) for i, end in enumerate(ends)]
     if isinstance(base, NaturalDamping):
         found += [("K_l R_l", f"K_l{end}*R_l{end}", base.K_l[i][i] * base.R_l[i][i]) for i, end in enumerate(ends)]
     return found

@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 
 from pbcgen.control.derive import Derivation
-from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
+from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation, base_law, shaping
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.shaping import Shape, shape_at
 from pbcgen.passivity.structure import PowerStructure
@@ -172,21 +172,12 @@ def _combination(coefficients: list[str], factors: list[str]) -> str:
     return " + ".join(terms).replace("+ -", "- ") or "0"
 
 
-def _gains(d: Derivation) -> tuple[tuple[Any, ...], tuple[Any, ...], Any]:
-    """(alpha, beta, K_c) of the energy shaping."""
-    law = base_law(d.law)
-    if isinstance(law, NaturalDamping):
-        return law.alpha_c, law.beta_c, law.K_c
-    return law.alpha, law.beta, getattr(law, "K_c", None)  # type: ignore[union-attr]
-
-
 def _shape(d: Derivation) -> tuple[Shape, Any] | None:
     if d.point is None or d.gamma is None or d.law is None:
         return None
-    law = base_law(d.law)
-    shape = shape_at(d.plant, d.point, d.gamma, compensated=isinstance(law, PotentialCompensation))
-    alpha, beta, _ = _gains(d)
-    return shape, diagonal([rational(a * b) for a, b in zip(alpha, beta, strict=True)])
+    compensated = isinstance(base_law(d.law), PotentialCompensation)
+    shape = shape_at(d.plant, d.point, d.gamma, compensated=compensated)
+    return shape, diagonal([rational(v) for v in shaping(d.law).stiffness])
 
 
 def _shaping(d: Derivation) -> Step:

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from pbcgen.law.settings import column, matrix
-from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation
+from pbcgen.models.laws import Integral, NaturalDamping, PassiveOutput, PotentialCompensation, shaping
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -58,15 +58,14 @@ def _filters(d: Derivation, law: Any, xi: ca.SX) -> ca.SX:
     if isinstance(law, PassiveOutput):
         return _phi(law.alpha, law.beta, deviation)
     x_c = xi[:m]
-    natural = isinstance(law, NaturalDamping)
-    alpha, beta = (law.alpha_c, law.beta_c) if natural else (law.alpha, law.beta)
-    total = _phi(alpha, beta, deviation + x_c) + ca.bilin(matrix(law.K_c), x_c, x_c) / 2
-    if not natural or d.eta is None or d.point is None:
+    term = shaping(law)
+    total = _phi(term.alpha, term.beta, deviation + x_c) + ca.bilin(matrix(term.K_c or ()), x_c, x_c) / 2
+    if not isinstance(law, NaturalDamping) or d.eta is None or d.point is None:
         return total
     at_rest = d.plant.at(d.point, d.eta)[0]
     shift = d.eta - ca.DM([float(row[0]) for row in at_rest])
     K_l = column([law.K_l[i][i] for i in range(m)])
-    return total + _phi(law.alpha_l, law.beta_l, ca.mtimes(matrix(law.Upsilon), shift) + K_l * xi[m:])
+    return total + _phi(law.alpha_l, law.beta_l, ca.mtimes(matrix(law.Upsilon or ()), shift) + K_l * xi[m:])
 
 
 def _phi(alpha: Any, beta: Any, z: ca.SX) -> ca.SX:

@@ -17,7 +17,16 @@ from dataclasses import dataclass
 import casadi as ca
 
 from pbcgen.models.gains import Matrix, Vector
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
+from pbcgen.models.laws import (
+    Integral,
+    Law,
+    NaturalDamping,
+    PassiveOutput,
+    PotentialCompensation,
+    Shaping,
+    base_law,
+    shaping,
+)
 from pbcgen.passivity.local import Local
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.sampling.transition import LinearLoop
@@ -68,13 +77,9 @@ class LoopFamily:
             base = base_law(law)
             if isinstance(base, PassiveOutput):
                 return self._passive_output(base)
+            parts = [self._filter(shaping(base), base.K_c, base.R_c)]
             if isinstance(base, NaturalDamping):
-                parts = [
-                    self._filter(base.alpha_c, base.beta_c, base.K_c, base.R_c, self.gamma),
-                    self._natural(base),
-                ]
-            else:
-                parts = [self._filter(base.alpha, base.beta, base.K_c, base.R_c, self.gamma)]
+                parts.append(self._natural(base))
             if isinstance(law, Integral):
                 parts.append(self._integral(law))
             u_x = [p[2] for p in parts]
@@ -94,13 +99,13 @@ class LoopFamily:
                 [[v for p in parts for v in p[3][i]] for i in range(len(total))],
             )
 
-    def _filter(self, alpha: Vector, beta: Vector, K: Matrix, R: Matrix, signal: RealMatrix) -> _Part:
-        stiffness = _products(alpha, beta)
+    def _filter(self, term: Shaping, K: Matrix, R: Matrix) -> _Part:
+        stiffness = diagonal([rational(v) for v in term.stiffness])
         R_c = exact_matrix(R)
         return (
-            _negative(multiply(multiply(R_c, stiffness), signal)),
+            _negative(multiply(multiply(R_c, stiffness), self.gamma)),
             _negative(multiply(R_c, add(stiffness, exact_matrix(K)))),
-            _negative(multiply(stiffness, signal)),
+            _negative(multiply(stiffness, self.gamma)),
             _negative(stiffness),
         )
 

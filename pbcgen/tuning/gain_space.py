@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pbcgen.models.exact import decimal
 from pbcgen.models.gains import Matrix, Vector, is_diagonal
-from pbcgen.models.laws import Integral, Law, NaturalDamping, gains
+from pbcgen.models.laws import Integral, Law, NaturalDamping, amplitudes, gains, is_amplitude
 from pbcgen.tuning.trial import entries, like
 
 #: How far gains may move from those of the design, in decades.
@@ -22,17 +22,6 @@ _USUAL_DECADES = 4.0
 
 #: Significant digits of the gains that are proposed.
 DIGITS = 3
-
-
-def totals(law: Law) -> Vector:
-    """The sum of the amplitudes of each input."""
-    groups = [values for name, values in entries(law).items() if is_amplitude(name)]
-    return tuple(sum(column, Fraction(0)) for column in zip(*groups, strict=True))
-
-
-def is_amplitude(name: str) -> bool:
-    """Whether a gain bounds a term of the input."""
-    return name.startswith("alpha") or name == "k_p"
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +70,7 @@ class Space:
 
     def start(self) -> NDArray[np.float64]:
         """The given gains."""
-        found, sums = entries(self.origin), totals(self.origin)
+        found, sums = entries(self.origin), amplitudes(self.origin)
         point: list[float] = []
         for name in self.shares:
             shares = [float(found[name][i] / sums[i]) for i in range(self.m)]

@@ -24,11 +24,11 @@ from pbcgen.control.ellipsoid import Ellipsoid, certified_ellipsoid
 from pbcgen.errors import NotProved
 from pbcgen.models.design import Design
 from pbcgen.models.gains import Matrix, Vector, is_diagonal
-from pbcgen.models.laws import Integral, Law, NaturalDamping, base_law
+from pbcgen.models.laws import Integral, Law, NaturalDamping, amplitudes, base_law
 from pbcgen.proof.claim import EMISSION_CLAIMS, Claim, Status
 from pbcgen.sampling.linearisation import spectral
 from pbcgen.tuning.gain_search import Judge, best_rounded, distinct, gentler, lowest_abscissa, search, wish_is_met
-from pbcgen.tuning.gain_space import rebuilt, totals
+from pbcgen.tuning.gain_space import rebuilt
 from pbcgen.tuning.trial import Response, entries
 from pbcgen.tuning.tuning_problem import PUSH, Problem, Route, Wish, shaped, theta_bound, unmet
 
@@ -274,7 +274,7 @@ def _region(derived: Derivation, route: Route) -> tuple[Ellipsoid | None, str]:
 
 def _active(problem: Problem, route: Route, law: Law) -> list[str]:
     """The constraints that are met with little to spare."""
-    sums = totals(law)
+    sums = amplitudes(law)
     found = [
         f"limit {room.limit}: {float(room.slack(sums)):.3g} left"
         for room in problem.limits

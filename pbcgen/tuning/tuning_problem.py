@@ -17,7 +17,7 @@ from pbcgen.errors import ModelError, NotProved
 from pbcgen.law.closed_loop import until_settled
 from pbcgen.models.design import Design
 from pbcgen.models.gains import Vector
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, PotentialCompensation, base_law
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PotentialCompensation, amplitudes, base_law, shaping
 from pbcgen.passivity.dissipation import port_damping
 from pbcgen.passivity.shaping import Shape, shape_at
 from pbcgen.passivity.storage import assumption_1
@@ -30,7 +30,7 @@ from pbcgen.sampling.lyapunov_period import LyapunovPeriods, lyapunov_periods
 from pbcgen.symbolic.real import approximate, rational
 from pbcgen.symbolic.real_matrices import add, diagonal, exact_matrix, inverse
 from pbcgen.tuning.gain_scale import natural_scale
-from pbcgen.tuning.gain_space import Space, rebuilt, totals
+from pbcgen.tuning.gain_space import Space, rebuilt
 from pbcgen.tuning.trial import Response, Trial, entries, response
 
 Route = Literal["lyapunov", "linearisation"]
@@ -130,8 +130,7 @@ class Problem:
                 f"the target is infeasible: without any feedback the input is at or beyond {closed.limit} "
                 f"(by {float(-closed.room):.6g}); choose another target or actuator"
             )
-        given = totals(law)
-        amplitudes = largest_amplitudes(limits, given) or given
+        given = amplitudes(law)
         storage = assumption_1(plant)
         compensated = isinstance(base_law(law), PotentialCompensation)
         trial = Trial(plant, point, found.gamma, found.eta, design, law)
@@ -156,7 +155,7 @@ class Problem:
             shape=shape,
             structure=structure,
             limits=limits,
-            amplitudes=amplitudes,
+            amplitudes=largest_amplitudes(limits, given) or given,
             duration=duration,
             horizon=max(duration, length),
         )
@@ -238,14 +237,10 @@ def _stuck(claims: Sequence[Claim]) -> str:
 
 def shaped(problem: Problem, law: Law) -> bool:
     """The Hessian condition and the bound on K_c: ``H0 + N (A^-1 + K_c^-1)^-1 N^T > 0``, with clearance."""
-    base = base_law(law)
-    found = entries(base)
-    alpha = found.get("alpha", found.get("alpha_c", ()))
-    beta = found.get("beta", found.get("beta_c", ()))
-    stiffness = [a * b for a, b in zip(alpha, beta, strict=True)]
-    A = diagonal([rational(s / _CLEARANCE) for s in stiffness])
-    if not isinstance(base, PassiveOutput):
-        K_c = exact_matrix(tuple(tuple(v / _CLEARANCE for v in row) for row in base.K_c))
+    term = shaping(law)
+    A = diagonal([rational(s / _CLEARANCE) for s in term.stiffness])
+    if term.K_c is not None:
+        K_c = exact_matrix(tuple(tuple(v / _CLEARANCE for v in row) for row in term.K_c))
         compliances = [inverse(A), inverse(K_c)]
         series = None if None in compliances else inverse(add(*compliances))  # type: ignore[arg-type]
         if series is None:

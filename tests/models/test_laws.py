@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from pbcgen import DynamicExtension, Integral, ModelError, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.models.gains import rank
-from pbcgen.models.laws import gains
+from pbcgen.models.laws import amplitudes, gains, shaping
 
 C = {"alpha_c": 1, "beta_c": 1, "K_c": 1, "R_c": 1}
 ONES = {**C, "alpha_l": 1, "beta_l": 1, "K_l": 1, "R_l": 1}
@@ -118,3 +118,13 @@ def test_a_bad_gain_is_refused_by_name(build, message):
 def test_the_rank_is_that_of_the_matrix(rows):
     exact = tuple(tuple(Fraction(entry) for entry in row) for row in rows)
     assert rank(exact) == np.linalg.matrix_rank(np.array(rows, dtype=float))
+
+
+def test_the_term_in_gamma_and_the_amplitudes_are_those_of_each_law():
+    passive = PassiveOutput(2, 3, 5).resolve(2)
+    natural = NaturalDamping(2, 3, 7, 11, alpha_l=13, beta_l=1, K_l=1, R_l=1).resolve(2)
+    integral = Integral(DynamicExtension(2, 3, 7, 11), 17, 1, 0).resolve(2)
+    assert [shaping(law).stiffness for law in (passive, natural, integral)] == [(6, 6)] * 3
+    assert shaping(passive).K_c is None
+    assert shaping(natural).K_c == shaping(integral).K_c == ((7, 0), (0, 7))
+    assert [amplitudes(law) for law in (passive, natural, integral)] == [(7, 7), (15, 15), (19, 19)]
