@@ -286,7 +286,9 @@ class _Work:
         if system.compensated:
             V = system.potential(variables([fmpq(int(v * 2**60), 2**60) for v in x[: system.half]]), fmpq)
             u = u - np.array([approximate(slope_by(V, k)) for k in range(system.half)])
-        z = [fmpq(int(v * 2**60), 2**60) for v in (*x, *u)]
+        shown = (claim.counterexample or {}).get("psi", [])
+        psi = [float(str(v)) for v in shown] if isinstance(shown, list) else []
+        z = [fmpq(int(v * 2**60), 2**60) for v in (*x, *u, *psi)]
         left = system.left(system.along(system.standing), range(system.n))
         for _ in range(_ROUNDS):
             value = left(variables(z))

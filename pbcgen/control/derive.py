@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import isfinite
 from time import perf_counter
@@ -32,6 +32,7 @@ from pbcgen.passivity.assignable import assignable_set
 from pbcgen.passivity.damping_search import Port
 from pbcgen.passivity.dissipation import NaturalDampingBounds, assumption_3
 from pbcgen.passivity.equilibrium import Equilibrium, complete, input_rank, without_rank
+from pbcgen.passivity.other_storage import other_storage
 from pbcgen.passivity.passive_output import PassiveOutput as PassiveOutputResult
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.region import Region
@@ -179,6 +180,8 @@ def derive(design: Design, progress: Progress = None, scan: bool = False) -> Der
         numbers |= stages.run("at the target", lambda: at_target.decide(stages))
     numbers |= _bounds_as_numbers(bounds, theta_verdict)
     _fill(stages, design, law, equilibrium, output, at_target.obstacle if at_target else None)
+    if equilibrium.point is not None:
+        _advise(stages, plant, equilibrium.point)
     ordered = tuple(stages.claims[name] for name in CLAIMS if name in stages.claims)
     graph = at_target.graph if at_target else None
     interface = at_target.interface if at_target else None
@@ -443,6 +446,19 @@ def _interface(
     (measured,) = plant.at(point, system.measured_expressions)
     rest = tuple(approximate(row[0]) for row in measured)
     return Interface(design.name or "controller", inputs, outputs, intervals, equilibrium, ranges, rest)
+
+
+def _advise(stages: _Stages, plant: Plant, point: Point) -> None:
+    """Names a storage that would do, where the given one is what fails."""
+    for name in ("passive-output", "gradient-condition", "measurability"):
+        claim = stages.claims[name]
+        if claim.status is Status.PROVED:
+            continue
+        found = other_storage(plant, point, readable=name == "measurability")
+        if found is not None:
+            other = f"; or {claim.hint}" if name == "measurability" else ""
+            stages.claims[name] = replace(claim, hint=f"take another storage, such as {found}{other}")
+        return
 
 
 def _fill(

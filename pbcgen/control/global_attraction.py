@@ -104,7 +104,7 @@ def _global_premises(situation: Situation, by_lyapunov: bool) -> tuple[str, str]
     if undefined:
         return undefined, "rely on the local claim"
     if not situation.branches or not all(part.resting for part in situation.branches):
-        return "the invariant set was not reduced to equilibria", "rely on the local claim"
+        return situation.unreduced or "the invariant set was not reduced to equilibria", "rely on the local claim"
     return None
 
 
@@ -221,12 +221,13 @@ def _with_decimals(plant: Plant, expression: ca.SX) -> ca.SX | None:
 
 
 def _second(situation: Situation, x: list[Real]) -> Claim:
-    names = situation.plant.system.state_names
-    shown = ", ".join(f"{name} = {text(v, 9)}" for name, v in zip(names, x, strict=True))
+    names, n = situation.plant.system.state_names, situation.plant.system.n
+    shown = ", ".join(f"{name} = {text(v, 9)}" for name, v in zip(names, x, strict=False))
+    filters = {"psi": [text(v, 15) for v in x[n:]]} if x[n:] else {}
     return _verdict(
         Status.REFUTED,
         "Krawczyk test in ball arithmetic",
         f"the closed loop has another equilibrium: {shown}",
         "the claim can only be local; start inside the region of attraction",
-        {"x": dict(zip(names, [text(v, 15) for v in x], strict=True))},
+        {"x": dict(zip(names, [text(v, 15) for v in x[:n]], strict=True)), **filters},
     )

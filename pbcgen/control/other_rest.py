@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbcgen.control.situation import Situation
+from pbcgen.models.gains import Vector
 from pbcgen.models.laws import Integral
 from pbcgen.passivity.region import Region
-from pbcgen.proof.newton import Search, find_zeros, krawczyk, polish
+from pbcgen.proof.newton import Search, find_zeros, float_newton, krawczyk, polish
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, ball, is_finite, precision, rational, sign
 from pbcgen.symbolic.tape import Tape
 
@@ -25,7 +26,7 @@ _LARGEST_SEARCH = 12
 
 
 def other_rest(situation: Situation) -> list[Real] | None:
-    """The state, in balls, of an equilibrium of the closed loop that is certainly not x*; or None.
+    """An equilibrium of the closed loop that is certainly not x*, in balls: x, then psi of `integral`; or None.
 
     A mechanical system rests with p = 0, so its momenta are no unknowns.
     """
@@ -33,36 +34,55 @@ def other_rest(situation: Situation) -> list[Real] | None:
     system, n = plant.system, plant.system.n
     still = n // 2 if system.mechanical is not None else 0
     free = n - still
-    if isinstance(situation.law, Integral) or free > _LARGEST_SEARCH:
+    if free > _LARGEST_SEARCH:
         return None
     at_star = ca.SX.sym("at_star", 2 * system.m)
-    residual = _rest_equations(situation, at_star[: system.m], at_star[system.m :])
+    psi = ca.SX.sym("psi", system.m if isinstance(situation.law, Integral) else 0)
+    residual = _rest_equations(situation, at_star[: system.m], at_star[system.m :], psi)
     if still:
         residual = ca.substitute(residual[still:], system.x[free:], ca.SX.zeros(still))
-    jacobian = ca.jacobian(residual, ca.vertcat(system.x[:free], system.u))
+    jacobian = ca.jacobian(residual, ca.vertcat(system.x[:free], system.u, psi))
     with precision(BITS):
         (gamma_star,) = plant.at(point, situation.gamma)
         constants = [*point.u, *[row[0] for row in gamma_star]]
     rounded = ca.DM([approximate(v) for v in constants])
-    function = plant.numeric(*[ca.substitute(e, at_star, ca.SX(rounded)) for e in (residual, jacobian)])
+    held, filters = free + system.m, psi.numel()
+    values = ca.vertcat(rounded, ca.DM([float(v) for v in plant.parameter_values]))
+    function = ca.Function(
+        "rest",
+        [system.x, system.u, psi],
+        [ca.substitute(e, ca.vertcat(at_star, plant.parameter_symbols), values) for e in (residual, jacobian)],
+    )
 
     def evaluate(z: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        value, slope = function(np.concatenate([z[:free], np.zeros(still)]), z[free:])
+        value, slope = function(np.concatenate([z[:free], np.zeros(still)]), z[free:held], z[held:])
         return np.array(value).ravel(), np.array(ca.densify(slope))
 
-    star = np.array([approximate(v) for v in (*point.x[:free], *point.u)])
+    def settled(z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """z with what the controller holds where the plant is at z, if that is found."""
+
+        def law(w: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            value, slope = evaluate(np.concatenate([z[:free], w]))
+            return value[free:], slope[free:, free:]
+
+        found = float_newton(law, z[free:])
+        return z if found is None else np.concatenate([z[:free], found])
+
+    star = np.array([approximate(v) for v in (*point.x[:free], *point.u, *[ZERO] * filters)])
     spread = np.full(len(star), 10.0)
+    if isinstance(situation.law, Integral):
+        spread[held:] /= [float(b) for b in situation.law.beta_psi]  # tanh is flat beyond
     turned = star + np.pi * np.eye(len(star))[: free if still else 0]  # an arm with one link upside down
-    likely = Search(star - spread, star + spread, tuple(turned), 0)
+    likely = Search(star - spread, star + spread, tuple(settled(z) for z in turned), 0)
     around = Search(star - spread, star + spread, _with_gamma_kept(situation, star, free), _STARTS)
-    tape = Tape.of([*plant.symbols, at_star], [residual, jacobian])
+    tape = Tape.of([*plant.symbols, at_star, psi], [residual, jacobian])
     parameters: list[Real] = [rational(v) for v in plant.parameter_values]
 
     def whole(z: list[Real]) -> tuple[list[Real], list[Real]]:
-        return [*z[:free], *[ZERO] * still], z[free:]
+        return [*z[:free], *[ZERO] * still], z[free:held]
 
     def in_balls(z: list[Real]) -> tuple[list[Real], list[list[Real]]]:
-        value, slope = (v.dense(ZERO) for v in tape.walk(REAL, [*whole(z), parameters, constants]))
+        value, slope = (v.dense(ZERO) for v in tape.walk(REAL, [*whole(z), parameters, constants, z[held:]]))
         return [row[0] for row in value], slope
 
     def zeros(search: Search) -> list[NDArray[np.float64]]:
@@ -80,7 +100,7 @@ def other_rest(situation: Situation) -> list[Real] | None:
             if any(sign(ball(b) - ball(s)) in (1, -1) for b, s in zip(x, point.x, strict=True)) and _is_state(
                 situation, x, u
             ):
-                return x
+                return [*x, *balls[held:]]
     return None
 
 
@@ -97,7 +117,8 @@ def _with_gamma_kept(situation: Situation, star: NDArray[np.float64], free: int)
     """Starts along which gamma stays near gamma*: elsewhere the saturated law is flat, and Newton's method lost."""
     plant, n = situation.plant, situation.plant.system.n
     at = np.concatenate([star[:free], np.zeros(n - free)])
-    N = np.array(ca.densify(plant.numeric(ca.jacobian(situation.gamma, plant.system.x[:free]))(at, star[free:])))
+    slope = plant.numeric(ca.densify(ca.jacobian(situation.gamma, plant.system.x[:free])))
+    N = np.array(slope(at, star[free : free + plant.system.m]))
     if not np.all(np.isfinite(N)):
         return ()
     keep = np.eye(free) - np.linalg.pinv(N) @ N
@@ -108,13 +129,26 @@ def _with_gamma_kept(situation: Situation, star: NDArray[np.float64], free: int)
     return tuple(star + np.concatenate([move, np.zeros(len(star) - free)]) for move in moves)
 
 
-def _rest_equations(situation: Situation, u_star: ca.SX, gamma_star: ca.SX) -> ca.SX:
-    """Equilibria of the closed loop in (x, u): ``f + g (u_c + u) = 0``, and (rest) in the form with tanh."""
-    plant, system = situation.plant, situation.plant.system
+def _rest_equations(situation: Situation, u_star: ca.SX, gamma_star: ca.SX, psi: ca.SX) -> ca.SX:
+    """Equilibria of the closed loop in (x, u, psi): ``f + g (u_c + u) = 0``, and (rest) in the form with tanh.
+
+    The integral term adds ``-alpha_psi tanh(beta_psi psi)`` to u, and rests where ``R_psi psi cosh(beta_psi psi)`` is
+    ``alpha_psi beta_psi (gamma - gamma*)``.
+    """
+    plant, system, law = situation.plant, situation.plant.system, situation.law
     alpha, beta, _ = situation.gains
     comp = situation.compensation
     u = system.u if comp is None else comp + system.u
     w = system.u if comp is not None else system.u - u_star
+    own = ca.SX(0, 1)
+
+    def column(gain: Vector) -> ca.SX:
+        return ca.vertcat(*map(plant.number, gain))
+
+    if isinstance(law, Integral):
+        alpha_psi, beta_psi = column(law.alpha_psi), column(law.beta_psi)
+        w = w + alpha_psi * ca.tanh(beta_psi * psi)
+        leak = ca.vertcat(*[ca.horzcat(*map(plant.number, row)) for row in law.R_psi])
+        own = ca.mtimes(leak, psi) - alpha_psi * beta_psi * (situation.gamma - gamma_star) / ca.cosh(beta_psi * psi)
     inside = situation.gamma - gamma_star + ca.mtimes(situation.compliance, w)
-    alpha_, beta_ = (ca.vertcat(*map(plant.number, gain)) for gain in (alpha, beta))
-    return ca.vertcat(system.f + ca.mtimes(system.g, u), w + alpha_ * ca.tanh(beta_ * inside))
+    return ca.vertcat(system.f + ca.mtimes(system.g, u), w + column(alpha) * ca.tanh(column(beta) * inside), own)

@@ -130,7 +130,9 @@ class Routes:
         return self.scan.stable_to if self.scan.stable_to > self.scan.start or not self.scan.delay else Fraction(0)
 
 
-def verdict(routes: Routes, asymptotic: Claim, overall: Claim, change: GainChange | None) -> Claim:
+def verdict(
+    routes: Routes, asymptotic: Claim, overall: Claim, change: GainChange | None, unseen: Claim | None = None
+) -> Claim:
     """The verdict `sampled-stable`.
 
     Args:
@@ -138,6 +140,7 @@ def verdict(routes: Routes, asymptotic: Claim, overall: Claim, change: GainChang
         asymptotic: the verdict on the continuous loop.
         overall: the verdict `globally-asymptotically-stable`, for the domain of the Lyapunov route.
         change: gains that would allow the period, for the hint.
+        unseen: what refutes attraction of the sampled loop as of the continuous one, or None.
     """
     spectral = routes.by_spectrum
     here = routes.spectral
@@ -151,6 +154,9 @@ def verdict(routes: Routes, asymptotic: Claim, overall: Claim, change: GainChang
         return Claim(
             "sampled-stable", Status.PROVED, domain, " and ".join(methods), evidence, certificate=_certificate(routes)
         )
+    if unseen is not None:
+        evidence = f"{unseen.evidence}; the sampled controller reads nothing of it and holds u*, whatever h is"
+        return replace(unseen, claim="sampled-stable", domain="sampled loop", evidence=evidence)
     refuted = here is not None and here.status is Status.REFUTED
     status = Status.REFUTED if refuted else Status.UNDECIDED
     counterexample = {"spectral_radius": radius_text(here.extreme)} if here is not None and refuted else None
@@ -313,13 +319,25 @@ def decide(
         if refused and hurwitz_at_target and (open_end or none):
             singles = examine(loop, h, h * _REACH, here, delay)
     routes = Routes(h, h * (1 + sampling.jitter), storage, here, found, about, examined=singles)
+    unseen = _unseen(situation, asymptotic)
     if sampling.jitter and not (routes.by_lyapunov and asymptotic.status is Status.PROVED):
         routes = replace(routes, jitter=jitter(loop, h, sampling.jitter, delay))
     change = None
     if refused and asymptotic.status is Status.PROVED:
         family = situation.family
         change = gain_change(family, situation.law, h, lambda law: _hurwitz(family, law), delay)
-    return verdict(routes, asymptotic, overall, change), routes
+    return verdict(routes, asymptotic, overall, change, unseen), routes
+
+
+def _unseen(situation: Situation, asymptotic: Claim) -> Claim | None:
+    """The refutation of attraction that holds for the sampled loop too, or None.
+
+    A conserved function is one whatever the input. Motions with u = u* along which the controller reads what it reads
+    at x* stay motions when it samples; a force that it compensates would change between the samples.
+    """
+    shown = asymptotic.counterexample or {}
+    held = "relations" in shown and situation.compensation is None
+    return asymptotic if asymptotic.status is Status.REFUTED and ("conserved" in shown or held) else None
 
 
 def _scanned(

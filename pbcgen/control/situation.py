@@ -139,12 +139,35 @@ class Situation:
             return None
 
     @cached_property
-    def _parts(self) -> list[InvariantSet]:
+    def _elimination(self) -> tuple[list[InvariantSet], str]:
+        """Parts of the invariant set, or why there are none."""
+        if self.flow is None:
+            return [], "nothing says what vanishes on it: no power structure, or no damping to spare"
         try:
-            found = [] if self.flow is None else branches(self.flow)
-            return found if len(found) < 2 else [part for part in found if part.resting or not self._empty(part)]
-        except (UnsupportedOperation, ZeroDivisionError, Inconsistent):
-            return []
+            found = branches(self.flow)
+            parts = found if len(found) < 2 else [part for part in found if part.resting or not self._empty(part)]
+            return parts, "" if found else "it has too many branches"
+        except (UnsupportedOperation, ZeroDivisionError, Inconsistent) as reason:
+            return [], str(reason)
+
+    @property
+    def _parts(self) -> list[InvariantSet]:
+        return self._elimination[0]
+
+    @property
+    def unreduced(self) -> str:
+        """How far LaSalle's invariant set was reduced, where it was not to equilibria; else an empty string."""
+        parts, why = self._elimination
+        if parts and all(part.resting for part in parts):
+            return ""
+        if not parts:
+            return f"LaSalle's invariant set was not reduced: {why}"
+        part = next(part for part in parts if not part.resting)
+        names = ", ".join(self.plant.system.state_names[k] for k in part.free) or "no state"
+        known = "; ".join(part.steps) or "nothing"
+        end = "every Lie derivative was followed" if part.closed else "the Lie derivatives did not end"
+        left = f"{len(part.pending)} equations could not be solved" if part.pending else "no equation is left"
+        return f"LaSalle's invariant set was reduced to {known}, with {names} free: {end}, and {left}"
 
     def _empty(self, part: InvariantSet) -> bool:
         """Whether the filters cannot rest on a part of the invariant set.

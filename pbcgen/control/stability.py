@@ -146,12 +146,13 @@ def _asymptotic(continuous: Stability, by_lyapunov: bool, missing: Sequence[str]
     decided = beyond_linearisation(situation, by_lyapunov)
     if decided is not None:
         return decided
+    tried = situation.unreduced if by_lyapunov else f"the Lyapunov route is {_why_not(missing)}"
     return Claim(
         "asymptotically-stable",
         Status.UNDECIDED,
         "near x*",
-        _LINEARISATION,
-        f"the linearisation does not decide: spectral abscissa {continuous.extreme:.6g}",
+        f"{_LINEARISATION}; LaSalle's invariant set by elimination" if by_lyapunov else _LINEARISATION,
+        f"the linearisation does not decide: spectral abscissa {continuous.extreme:.6g}{tried and '; '}{tried}",
         "add damping that reaches the slow mode, or choose another target",
     )
 

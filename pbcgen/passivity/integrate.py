@@ -68,6 +68,16 @@ def potential(plant: Plant, psi: ca.SX) -> ca.SX | None:
     return _match(plant, psi, functions)
 
 
+def common_denominator(values: Sequence[Quotient]) -> Quotient:
+    """A polynomial that every value times it is one, too."""
+    field = values[0].field
+    common = field.const(1)
+    for value in values:
+        shared = common.numerator.gcd(value.denominator)
+        common = common * (field.polynomial(value.denominator) / field.polynomial(shared))
+    return common
+
+
 def _linear(plant: Plant, field: Field, gradient: Sequence[Quotient]) -> ca.SX:
     [s for column in plant.symbols for s in ca.vertsplit(column)]
     terms = [plant.expression(entry) * plant.system.x[j] for j, entry in enumerate(gradient) if not entry.is_zero()]
@@ -113,8 +123,10 @@ def _match(plant: Plant, psi: ca.SX, functions: Sequence[ca.SX]) -> ca.SX | None
     field, (wanted, available) = plant.exact(psi, gradients, symbolic=True)
     zero = field.const(0)
     coefficients = Coefficients(field, plant.parameter_positions())
-    target = [coefficients.split(entry) for entry in wanted.column(zero)]
-    offered = [[coefficients.split(entry) for entry in column] for column in columns(available, zero)]
+    needed, given = wanted.column(zero), columns(available, zero)
+    cleared = [common_denominator([value, *(column[i] for column in given)]) for i, value in enumerate(needed)]
+    target = [coefficients.split(entry * by) for entry, by in zip(needed, cleared, strict=True)]
+    offered = [[coefficients.split(entry * by) for entry, by in zip(column, cleared, strict=True)] for column in given]
     rows: list[Row] = []
     for i, split in enumerate(target):
         if split is None:

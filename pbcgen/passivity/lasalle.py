@@ -116,12 +116,17 @@ class _Elimination:
         tape = Tape.of([ca.vertcat(*self.symbols), parameters], [ca.vertcat(*expressions)])
         self.spent += len(tape.instructions)
         if self.spent > self.budget or len(tape.instructions) > _LARGEST_TAPE * len(expressions):
-            raise UnsupportedOperation("the equations of the invariant set grow too large")
+            raise UnsupportedOperation(
+                f"its equations grow beyond the budget, {self.spent} of {self.budget} instructions; known are "
+                + ("; ".join(self.steps) or "no states")
+            )
         names = [*self.names, *plant.parameter_names]
         field_, (values,) = evaluate(tape, names, plant.values, plant.reads_signs(tape))
         functions = values.column(field_.const(0))
         if any(len(function.numerator) > _MOST_TERMS for function in functions):
-            raise UnsupportedOperation("the equations of the invariant set grow too large")
+            raise UnsupportedOperation(
+                f"an equation grows beyond {_MOST_TERMS} terms; known are " + ("; ".join(self.steps) or "no states")
+            )
         return field_, functions
 
     def to_sx(self, element: Quotient) -> ca.SX:

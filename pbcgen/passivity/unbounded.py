@@ -19,6 +19,7 @@ from flint import fmpq
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.coordinates import proper
 from pbcgen.passivity.inertia import missing_for_definiteness, missing_for_growth
+from pbcgen.passivity.integrate import common_denominator
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import positive_semidefinite
@@ -225,11 +226,7 @@ def _changing(plant: Plant, value: Quotient, variables: Sequence[int]) -> list[l
     slopes = ca.gradient(plant.expression(value), plant.system.x[list(variables)])
     field, (gradient,) = plant.exact(slopes)
     entries = gradient.column(field.const(0))
-    common = field.const(1)
-    for entry in entries:
-        common = (
-            common * field.polynomial(entry.denominator) / field.polynomial(common.numerator.gcd(entry.denominator))
-        )
+    common = common_denominator(entries)
     rows: dict[object, Row] = {}
     for k, entry in enumerate(entries):
         cleared = entry * common

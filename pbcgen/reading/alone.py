@@ -134,15 +134,33 @@ class Alone(Growth):
         alpha, beta, m = self.model.vector("alpha"), self.model.vector("beta"), self.m
         outputs = [put_in(self.field, g, self.rest_point) for g in rests[1][m : 2 * m]]
         functions = rests[1][: 2 * m] + [rests[1][2 * m :][k] for k in chosen]
+        functions += [] if "R_psi" not in self.model.gains else self.column("gamma")
 
         def function(z: Sequence[Any]) -> list[Any]:
-            place = dict(zip(rests[0], z, strict=True))
+            place = dict(zip(rests[0], z, strict="R_psi" not in self.model.gains))
             values = [place.get(k, fmpq(0)) for k in range(len(self.field.symbols))]
             found = [put_in(self.field, v, values) for v in functions]
+            found, filters = self._integrated(found, list(z[len(place) :]))
             rows = zip(found, self.resting_input, alpha, beta, found[m:], outputs, strict=False)
-            return found[2 * m :] + [u - c + apply("tanh", (g - d) * b) * a for u, c, a, b, g, d in rows]
+            return found[2 * m :] + [u - c + apply("tanh", (g - d) * b) * a for u, c, a, b, g, d in rows] + filters
 
         return function
+
+    def _integrated(self, found: list[Any], psi: Sequence[Any]) -> tuple[list[Any], list[Any]]:
+        """U and Gamma without what the integral term holds, if the law has one, and what its filter leaves of zero."""
+        if "R_psi" not in self.model.gains:
+            return found, []
+        require(len(psi) == self.m, "a rest of the integral term is missing")
+        m, gains, star = self.m, self.model.gains, [*self.point[0], *self.point[1]]
+        a, b, away = gains["alpha_psi"][0], gains["beta_psi"][0], found[-self.m :]
+        held = [apply("tanh", s * v) * c for c, s, v in zip(a, b, psi, strict=True)]
+        yielding = product(self.softness, [[v] for v in held])
+        pulls = [put_in(self.field, g, star) for g in self.column("gamma")]
+        leak = product(gains["R_psi"], [[v] for v in psi])
+        rows = zip(leak, a, b, away, pulls, psi, strict=True)
+        filters = [r * apply("cosh", s * v) - (g - d) * c * s for (r,), c, s, g, d, v in rows]
+        both = [*held, *[v for (v,) in yielding]]
+        return [x + y for x, y in zip(found[: 2 * m], both, strict=True)] + found[2 * m : -m], filters
 
     def no_other(self, rests: Rests, chosen: Sequence[int]) -> Callable[[str, Box], bool]:
         """What the leaves say: an equation has no zero (.), or the Jacobian of all is regular from there to x* (;)."""

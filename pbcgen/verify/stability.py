@@ -194,9 +194,13 @@ class Stability(Assumptions):
         return "Lambda" in (self.witness[claim] or {}) and "natural-damping" not in self.law
 
     def refuted_sampled_stable(self) -> None:
-        """An eigenvalue of the linearised sampled loop lies outside the unit disc."""
+        """An eigenvalue outside the unit disc; or what shows that x* does not attract stays so with held inputs."""
+        shown = self.witness["asymptotically-stable"]
+        if "conserved" in shown or ("set" in shown and not self.compensated):
+            require(self.status["asymptotically-stable"] == "REFUTED", "it is said to attract")
+            return self.once(self.refuted_asymptotically_stable)
         linear = stable(self.sampled, True, self.storage("sampled-stable"))
-        require(linear is False, "no eigenvalue certainly lies outside the unit disc")
+        return require(linear is False, "no eigenvalue certainly lies outside the unit disc")
 
     def _decreases(self) -> None:
         """What the longest period h consumes leaves damping: ``Lambda - h C / 2 > 0`` for y, or Theta > 0 with that."""

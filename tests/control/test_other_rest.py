@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import copy
+
 import casadi as ca
+import numpy as np
 import pytest
 
-from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical
+from pbcgen import AffineSystem, Design, DynamicExtension, Integral, Mechanical
+from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.control.other_rest import other_rest
+from pbcgen.proof.claim import Status
+from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.real import approximate
+from pbcgen.verify.claims import examine
+from pbcgen.verify.files import digest
 
 
 def pendulums(links: int, stiffness: float) -> Design:
@@ -51,3 +59,45 @@ def test_a_system_with_one_state_has_no_momenta() -> None:
     found = other_rest(situation)
     assert found is not None
     assert abs(approximate(found[0])) > 1
+
+
+def _integral_pendulum(alpha, alpha_psi, leak, friction=1):
+    """A pendulum of weight 2 held at 1 rad, with an integral term."""
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    system = Mechanical([q], [p], M=[1], V=-2 * ca.cos(q), D=[friction], G=[1])
+    law = Integral(DynamicExtension(alpha, 2, 3, 1), alpha_psi=alpha_psi, beta_psi="0.3", R_psi=leak)
+    return Design(system, {"q": 1}, law, sample_period="1e-3")
+
+
+@pytest.mark.parametrize(
+    ("alpha", "alpha_psi", "leak", "another"),
+    [
+        (1, "0.5", 1, True),  # at most 1.5 beside u* = 1.68: not enough to hold the weight on its way round
+        (1, "0.5", "0.1", True),
+        (1, "2.5", "0.1", True),
+        (1, "0.5", 0, False),  # without leak the filter rests at gamma = gamma* only
+        ("3.4", "0.5", 1, True),  # 2 + 1.68 < 3.4 + 0.5, but the filter has leaked
+        ("3.7", "0.5", 1, False),  # 2 + 1.68 < 3.7
+        (4, "0.1", 1, False),
+    ],
+)
+def test_an_integral_term_rests_elsewhere_where_it_leaks(alpha, alpha_psi, leak, another):
+    derivation = derive(_integral_pendulum(alpha, alpha_psi, leak))
+    claim = next(c for c in derivation.claims if c.claim == "globally-asymptotically-stable")
+    assert (claim.status is Status.REFUTED) == another
+    document = certificate(derivation)
+    assert {f.claim: f.outcome for f in examine(document)}[claim.claim] == ("checked" if another else "open")
+    if not another:
+        return
+    assert derivation.situation is not None
+    q, _, psi = (approximate(v) for v in other_rest(derivation.situation))
+    w = 2 * np.sin(q) - 2 * np.sin(1) + float(alpha_psi) * np.tanh(0.3 * psi)  # what x_c holds
+    assert abs(w + float(alpha) * np.tanh(2 * (q - 1 + w / 3))) < 1e-9
+    assert abs(float(leak) * psi - float(alpha_psi) * 0.3 * (q - 1) / np.cosh(0.3 * psi)) < 1e-9
+    witness = next(c["witness"] for c in document["claims"] if c["claim"] == claim.claim)
+    for k in range(len(witness["centre"])):
+        forged = copy.deepcopy(document)
+        centre = next(c["witness"] for c in forged["claims"] if c["claim"] == claim.claim)["centre"]
+        centre[k] = f"{float(rational(centre[k])) + 0.01:.12g}"
+        forged["digest"] = digest(forged)
+        assert {f.claim: f.outcome for f in examine(forged)}[claim.claim] == "fails"

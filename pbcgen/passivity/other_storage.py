@@ -1,0 +1,238 @@
+"""Storages that a system has beside the given one, for hints: ``grad S = B f`` with a constant matrix B.
+
+If ``sym B <= 0`` then ``S' <= y^T u`` with ``gamma = -B g``, integrated (form "A" of `PowerStructure`);
+nothing is lost at rest, so that every equilibrium can be held. S exists iff the Jacobian of B f is symmetric, gamma iff
+those of B g are: linear equations in B. Among the solutions one is sought that makes S convex at x*, and whose gamma
+needs the measured states alone. Thermal, RC and RL networks, connected tanks and motors have one. Solutions are
+proposed in doubles; that B is negative semidefinite and that S has a minimum at x* is then decided exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import casadi as ca
+import numpy as np
+from flint import fmpq
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from pbcgen.errors import UnsupportedOperation
+from pbcgen.passivity.factor import Coefficients
+from pbcgen.passivity.integrate import common_denominator, potential
+from pbcgen.passivity.plant import Plant, Point
+from pbcgen.proof.claim import Status
+from pbcgen.proof.definite import RealMatrix, positive_definite, positive_semidefinite
+from pbcgen.symbolic.display import formula
+from pbcgen.symbolic.field import Quotient
+from pbcgen.symbolic.linear import Row, reduce_rows
+from pbcgen.symbolic.real import Real, approximate, rational
+
+#: Systems with more states, or more unknowns that are left, are not searched.
+_MOST_STATES, _MOST_FREE = 8, 40
+#: Linear programmes that are solved, and when a violated matrix inequality is good enough.
+_ROUNDS, _SMALL = 150, 1e-7
+#: How the weights of a solution are rounded.
+_DENOMINATORS = (1, 2, 4, 10, 100, 1000, 10**6)
+#: Longer formulas are not shown.
+_LONGEST = 240
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OtherStorage:
+    """A storage and its gamma as text with the parameters' names."""
+
+    S: str
+    gamma: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"S = {self.S}, whose gamma is {', '.join(self.gamma)}"
+
+
+def other_storage(plant: Plant, point: Point, readable: bool = False) -> OtherStorage | None:
+    """A storage with which x* can be held; gamma in measured states if there is one, else in any if that will do."""
+    system = plant.system
+    if system.n > _MOST_STATES or system.mechanical is not None:
+        return None
+    hidden = [k for k, name in enumerate(system.state_names) if name not in system.measured]
+    try:
+        for unread in [hidden] if readable or not hidden else [hidden, []]:
+            for diagonal in (True, False):
+                work = _Search.of(plant, point, unread, diagonal)
+                found = None if work is None else work.storage()
+                if found is not None:
+                    return found
+    except (UnsupportedOperation, ZeroDivisionError):
+        pass
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Matrices that B is a combination of, as expressions of the parameters and at their values, and df/dx at x*."""
+
+    plant: Plant
+    point: Point
+    basis: list[ca.SX]
+    values: list[RealMatrix]
+    slope: RealMatrix
+    inputs: RealMatrix
+
+    @staticmethod
+    def of(plant: Plant, point: Point, unread: Sequence[int], diagonal: bool) -> _Search | None:
+        """None where the equations leave no B, or too many."""
+        solved = _equations(plant, unread, diagonal)
+        if solved is None:
+            return None
+        n = plant.system.n
+        free = [k for k in range(n * n) if k not in solved]
+        if not free or len(free) > _MOST_FREE:
+            return None
+        basis = []
+        for k in free:
+            matrix = ca.SX(n, n)
+            matrix[k // n, k % n] = 1
+            for p, row in solved.items():
+                if k in row:
+                    matrix[int(str(p)) // n, int(str(p)) % n] = -plant.expression(row[k])
+            basis.append(matrix)
+        field, exact = plant.exact(*basis)
+        numbers = [[[entry.constant() for entry in row] for row in m.dense(field.const(0))] for m in exact]
+        if any(v is None for m in numbers for row in m for v in row):
+            return None
+        slope, inputs = plant.at(point, ca.densify(ca.jacobian(plant.system.xdot, plant.system.x)), plant.system.g)
+        return _Search(plant, point, basis, numbers, slope, inputs)
+
+    def storage(self) -> OtherStorage | None:
+        """The first combination that is certainly good and has a formula."""
+        for weights in self._proposals():
+            if not self._serves(weights):
+                continue
+            total = sum((self.plant.number(w) * m for w, m in zip(weights, self.basis, strict=True)), ca.SX(0))
+            system = self.plant.system
+            S = potential(self.plant, ca.mtimes(total, system.f))
+            parts = [S, *(potential(self.plant, -ca.mtimes(total, system.g[:, j])) for j in range(system.m))]
+            functions = [part for part in parts if part is not None]
+            if len(functions) < len(parts):
+                return None
+            field, (values,) = self.plant.exact(ca.vertcat(*functions), symbolic=True, known=self.plant.numbers)
+            shown = [formula(v, self.plant.parameter_positions()) for v in values.column(field.const(0))]
+            return OtherStorage(shown[0], tuple(shown[1:])) if sum(map(len, shown)) <= _LONGEST else None
+        return None
+
+    def _combined(self, weights: Sequence[Fraction]) -> RealMatrix:
+        size = range(len(self.slope))
+        return [
+            [sum((rational(w) * m[i][j] for w, m in zip(weights, self.values, strict=True)), fmpq(0)) for j in size]
+            for i in size
+        ]
+
+    def _serves(self, weights: Sequence[Fraction]) -> bool:
+        """``sym B <= 0``, and ``hess S_d > 0`` at x* for alpha beta large enough."""
+        B, size = self._combined(weights), range(len(self.slope))
+        loss = [[-(B[i][j] + B[j][i]) for j in size] for i in size]
+        if positive_semidefinite(loss).status is not Status.PROVED:
+            return False
+        N = [[-sum((B[i][k] * self.inputs[k][j] for k in size), fmpq(0)) for j, _ in enumerate(row)]
+             for i, row in enumerate(self.inputs)]  # fmt: skip
+        if any(all(v == 0 for v in column) for column in zip(*N, strict=True)):
+            return False
+        bent = [[sum((B[i][k] * self.slope[k][j] for k in size), fmpq(0)) for j in size] for i in size]
+        drawn = [[sum((a * b for a, b in zip(p, q, strict=True)), fmpq(0)) for q in N] for p in N]
+        hessian = [[(bent[i][j] + bent[j][i]) / 2 + drawn[i][j] for j in size] for i in size]
+        return positive_definite(hessian).status is Status.PROVED
+
+    def _proposals(self) -> Iterator[list[Fraction]]:
+        """Weights in simple fractions, from the optimum of a semidefinite programme (Kelley's cutting planes)."""
+        slope = _floats(self.slope)
+        matrices = [_floats(m) for m in self.values]
+        losses = [-(m + m.T) / 2 for m in matrices]
+        bends = [(m @ slope + (m @ slope).T) / 2 for m in matrices]
+        scales = [max(float(np.max(np.abs(np.stack(part)))), 1e-300) for part in (losses, bends)]
+        for margin in (True, False):
+            t = _interior([np.stack(losses) / scales[0], np.stack(bends) / scales[1]], margin)
+            if t is None or not np.max(np.abs(t)) > 0:
+                continue
+            t = t / np.max(np.abs(t))
+            for denominator in _DENOMINATORS:
+                weights = [Fraction(float(v)).limit_denominator(denominator) for v in t]
+                if any(weights):
+                    yield weights
+
+
+def _interior(families: Sequence[_Array], margin: bool) -> _Array | None:
+    """t in [-1, 1]^d with ``sum t_k M_k >= s I`` for each family and s as large as possible, or their traces."""
+    count = len(families[0])
+    rows: list[_Array] = []
+    traces = sum(np.trace(family, axis1=1, axis2=2) for family in families)
+    goal = np.append(np.zeros(count) if margin else -np.asarray(traces), -1.0 if margin else 0.0)
+    bounds = [(-1.0, 1.0)] * count + [(0.0, 1.0)]
+    t: _Array | None = None
+    for _ in range(_ROUNDS):
+        cuts = np.array(rows) if rows else None
+        solution = linprog(goal, cuts, None if cuts is None else np.zeros(len(rows)), bounds=bounds, method="highs")
+        if solution.x is None:
+            return None
+        t, s = np.asarray(solution.x[:-1]), float(solution.x[-1])
+        if margin and s < _SMALL:
+            return None
+        worst = 0.0
+        for family in families:
+            values, vectors = np.linalg.eigh(np.tensordot(t, family, 1))
+            for value, v in zip(values, vectors.T, strict=True):
+                missing = (s if margin else 0.0) - value
+                if missing > _SMALL:
+                    worst = max(worst, missing)
+                    rows.append(np.append(-np.einsum("i,kij,j->k", v, family, v), 1.0 if margin else 0.0))
+        if worst == 0.0 or (margin and worst < s / 2):
+            return t
+    return None
+
+
+def _equations(plant: Plant, unread: Sequence[int], diagonal: bool) -> dict[object, Row] | None:
+    """What a symmetric Jacobian of B f and of B g, and zeros of B g, ask of the entries of B, in echelon form."""
+    system = plant.system
+    n = system.n
+    jacobians = [ca.jacobian(v, system.x) for v in (system.f, *ca.horzsplit(system.g))]
+    field, (g, *slopes) = plant.exact(system.g, *jacobians, symbolic=True)
+    zero = field.const(0)
+    coefficients = Coefficients(field, plant.parameter_positions())
+
+    def split(matrix: list[list[Quotient]]) -> list[list[dict[tuple[int, ...], Quotient] | None]] | None:
+        common = common_denominator([v for row in matrix for v in row])
+        parts = [[coefficients.split(entry * common) for entry in row] for row in matrix]
+        return None if any(p is None for row in parts for p in row) else parts
+
+    one = field.const(1)
+    rows: dict[object, Row] = {k: {k: one} for k in range(n * n) if diagonal and k // n != k % n}
+
+    def add(place: object, unknown: int, parts: dict[tuple[int, ...], Quotient] | None, side: int) -> None:
+        for monomial, value in (parts or {}).items():
+            row = rows.setdefault((place, monomial), {})
+            row[unknown] = row.get(unknown, zero) + (value if side > 0 else -value)
+
+    for number, matrix in enumerate(slopes):
+        parts = split(matrix.dense(zero))
+        if parts is None:
+            return None
+        for i in range(n):
+            for j in range(i + 1, n):
+                for k in range(n):
+                    add((number, i, j), i * n + k, parts[k][j], 1)
+                    add((number, i, j), j * n + k, parts[k][i], -1)
+    inputs = split(g.dense(zero))
+    if inputs is None:
+        return None
+    for i in unread:
+        for j in range(system.m):
+            for k in range(n):
+                add(("unread", i, j), i * n + k, inputs[k][j], 1)
+    return dict(reduce_rows(rows.values()))
+
+
+def _floats(matrix: Sequence[Sequence[Real]]) -> _Array:
+    return np.array([[approximate(v) for v in row] for row in matrix])
