@@ -20,15 +20,16 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.passivity.factor import Coefficients
 from pbcgen.passivity.integrate import common_denominator, potential
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.proof.claim import Status
-from pbcgen.proof.definite import RealMatrix, positive_definite, positive_semidefinite
+from pbcgen.proof.definite import positive_definite, positive_semidefinite
+from pbcgen.symbolic.coefficients import Coefficients
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import Row, reduce_rows
 from pbcgen.symbolic.real import Real, approximate, rational
+from pbcgen.symbolic.real_matrices import RealMatrix
 
 #: Systems with more states, or more unknowns that are left, are not searched.
 _MOST_STATES, _MOST_FREE = 8, 40
