@@ -5,7 +5,7 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 import pytest
-from flint import arb
+from flint import arb, arb_mat
 from scipy.linalg import expm
 
 from pbcgen import Design, DynamicExtension, Limits, Mechanical, ModelError, NaturalDamping, PassiveOutput, pipeline
@@ -19,7 +19,7 @@ from pbcgen.sampling.family import LoopFamily
 from pbcgen.sampling.gain_change import gain_change, scaled
 from pbcgen.sampling.jitter import _decreases, jitter
 from pbcgen.sampling.linearisation import Spectrum, delayed_matrix, period_matrix, radius_in_doubles, spectral
-from pbcgen.sampling.scan import _begin, _cell, scan
+from pbcgen.sampling.scan import _begin, _cell, _neumann, scan
 from pbcgen.sampling.transition import LinearLoop, Transition
 from pbcgen.symbolic.real import ball, enclose, precision, rational
 from pbcgen.tuning.trial import Trial
@@ -266,6 +266,15 @@ def test_no_cell_holds_a_period_that_is_unstable(seed, delay):
 def _holds(transition, lo, hi):
     centre, r = ball(rational((lo + hi) / 2)), arb(ball(rational((hi - lo) / 2)).upper())
     return _cell(transition, centre, r, enclose(lo, hi))
+
+
+def test_a_geometric_series_of_matrices_is_bounded_where_it_converges():
+    P = [[Fraction(1, 2), Fraction(1, 4)], [Fraction(1, 8), Fraction(1, 4)]]
+    bound = _neumann(arb_mat([[ball(rational(v)) for v in row] for row in P]))
+    truth = np.linalg.inv(np.eye(2) - np.array(P, dtype=float))
+    assert all(truth[i, j] * (1 - 1e-9) <= float(bound[i, j].mid()) for i in range(2) for j in range(2))
+    with pytest.raises(ZeroDivisionError):
+        _neumann(arb_mat([[1, 0], [0, 0]]))
 
 
 def test_a_loop_that_is_unstable_in_continuous_time_has_no_first_cell():

@@ -56,6 +56,8 @@ FLAT = {
     "a fourth power with a sign": (x**4 - 3 * x**2 * y**2 + y**4,),
     "a fourth power of a difference": ((x - y) ** 4, x - y, "3", "1"),
     "an exponential on one side": (ca.exp(x) + y**2, x, "3", "4"),
+    "a quotient that levels off": (x**2 + y**2 / (1 + y**2),),
+    "a quotient that falls off": (x**2 + y**2 + x**4 / (1 + y**2) - x**4,),
     "a product that outgrows the square": (x**4 + y**2 - 5 * x**2 * y,),
 }
 

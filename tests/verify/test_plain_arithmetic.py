@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pbcgen.certify.writing import Writing
+from pbcgen.symbolic.plain.boxes import shown
 from pbcgen.symbolic.plain.elimination import Elimination
 from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import is_definite
@@ -246,3 +247,94 @@ def test_an_odd_function_is_undone_only_if_it_increases_and_its_scale_is_not_zer
     assert not chain.solve(0, 0, b, "tanh", fmpq(0))
     assert not chain.solve(0, 0, b, "tanh", fmpq(2))
     assert chain.solve(0, 0, b, "tanh")
+
+
+@pytest.mark.parametrize(
+    ("make", "expected"),
+    [
+        (lambda x, y: apply("sin", x) + 2, 1),
+        (lambda x, y: -apply("sin", x) - 2, -1),
+        (lambda x, y: apply("sin", x) + 1, 0),
+        (lambda x, y: apply("tanh", x) * apply("cos", y) - fmpq(11, 10), -1),
+        (lambda x, y: apply("atan", x) + 2, 0),
+        (lambda x, y: apply("exp", x), 1),
+        (lambda x, y: apply("exp", x) - 1, 0),
+        (lambda x, y: apply("exp", x) + apply("exp", y) - 1, 0),
+        (lambda x, y: apply("exp", x) + apply("sin", y), 0),
+        (lambda x, y: apply("exp", x) + apply("sin", y) + 1, 1),
+        (lambda x, y: apply("sqrt", x * x + 1), 1),
+        (lambda x, y: apply("sqrt", x * x), 0),
+        (lambda x, y: apply("sqrt", x * x) + 1, 1),
+        (lambda x, y: x * apply("exp", y), 0),
+        (lambda x, y: x * x * apply("exp", y) + fmpq(1, 9), 1),
+        (lambda x, y: x + 1, 0),
+        (lambda x, y: (apply("exp", x) + 1) * (apply("sin", y) - 3), -1),
+        (lambda x, y: (apply("sin", x) - 3) * (apply("sin", y) - 3), 1),
+        (lambda x, y: (apply("exp", x) + 1) * y, 0),
+        (lambda x, y: x * 0, 0),
+    ],
+)
+def test_signs_that_hold_everywhere(make, expected):
+    field = Field(2, 8)
+    a = make(*field.symbols)
+    assert field.everywhere(a.top) == expected
+    assert field.everywhere((-a).top) == -expected
+    assert field.positive(a) == (expected == 1)
+
+
+def test_a_bound_counts_every_term_and_none_is_known_of_what_is_unbounded():
+    field = Field(2, 8)
+    a, b = field.symbols
+    s, t = apply("sin", a), apply("tanh", b)
+    centre, reach = field.bound(s * 3 - s * t * t * 2 + 5, {})
+    assert (centre, reach) == (5, 5)
+    centre, reach = field.bound(a * a * t * 2 - a + 1, {0: fmpq(3)})
+    assert (centre, reach) == (1, 21)
+    for unbounded in (a, apply("exp", a), apply("atan", b), s / (a * a + 1), a * t):
+        assert not field.bounded(unbounded)
+        assert not field.bound(unbounded, {})[1].is_finite()
+    assert not field.bound(a * b, {0: fmpq(3)})[1].is_finite()
+
+
+@pytest.mark.parametrize(
+    ("function", "lo", "hi", "least"),
+    [
+        (lambda z: z[0] * z[0] * (z[0] - fmpq(3, 2)), "1", "6/5", None),  # convex there, not from there to zero
+        (lambda z: z[0] * z[0] * (-z[0] - fmpq(3, 2)), "-6/5", "-1", None),
+        (lambda z: z[0] * z[0] * (z[0] + fmpq(3, 2)), "1/10", "6/5", ":"),
+        (lambda z: z[0] * z[0] * (fmpq(3, 2) - z[0]), "-6/5", "-1/10", ":"),
+        (lambda z: apply("cos", z[0]) * -1 + 1, "-1", "1", ":"),
+        (lambda z: apply("cos", z[0]) - 1, "-1", "1", None),
+        (lambda z: apply("sin", z[0]) - fmpq(1, 2), "6/10", "2", ";"),
+        (lambda z: apply("exp", z[0]) - 1, "1/100", "1", ";"),
+        (lambda z: -apply("exp", z[0]) + 1, "-1", "-1/100", ";"),
+        (lambda z: apply("exp", z[0]) - 1, "-1/100", "1", None),
+        (lambda z: 3 - z[0] * z[0], "-3/2", "3/2", "."),
+        (lambda z: 3 - z[0] * z[0], "-9/5", "3/2", None),
+        (lambda z: z[0] * z[0] - z[0] + fmpq(1, 3), "1/4", "1/2", ","),
+        (lambda z: z[0] * z[0] - z[0] + fmpq(1, 5), "0", "1", None),
+    ],
+)
+def test_a_leaf_shows_what_is_nonnegative_on_its_box_and_nothing_else(function, lo, hi, least):
+    box, at_zero = [(rational(lo), rational(hi))], function([fmpq(0)])
+    zeros = {0: fmpq(0)} if at_zero == 0 and partial(function(variables([fmpq(0)])), 0) == 0 else {}
+    if least:
+        assert shown(least, box, function, zeros)
+    else:
+        assert not any(shown(leaf, box, function, zeros) for leaf in ".,;:")
+        assert not any(shown(f"a{one}{two}", box, function, zeros) for one in ".,;:" for two in ".,;:")
+    assert not shown(":", box, function, {})
+
+
+def test_a_tree_covers_its_box_with_nothing_over_and_nothing_left_out():
+    one = [(fmpq(0), fmpq(1))]
+    assert shown("a..", one, lambda z: z[0] + 1, {})
+    for tree in ("", "a", "a.", "a...", "..", "?", "a.?"):
+        assert not _is_shown(tree, one)
+
+
+def _is_shown(tree, box):
+    try:
+        return shown(tree, box, lambda z: z[0] + 1, {})
+    except IndexError:  # the coordinate that is halved is none of the box
+        return False
