@@ -57,6 +57,16 @@ def test_bounds_of_a_box_are_used():
     assert not _proved(B**2 * (4 - A**2), a=(-2, 2.001))
 
 
+def test_a_quotient_has_the_sign_of_both_its_parts():
+    assert _proved((A**2 + A * B + B**2) / (1 + C**2))
+    assert _proved((A**2 + A * B + B**2) * (C - 1) / (C**3 - C**2 + C - 1))
+    assert not _proved((A**2 + A * B + B**2) / (-1 - C**2))
+    assert not _proved((A**2 + A * B + B**2) / (C**2 - 1))
+    assert not _proved((A**2 + A * B + B**2) / C)
+    assert _proved((A**2 + A * B + B**2) / C, c=(1, 2))
+    assert not _proved((A**2 + A * B + B**2) / C, c=(-1, 2))
+
+
 def test_a_nonnegative_polynomial_that_is_no_sum_of_squares_is_left_open():
     assert not _proved(MOTZKIN)
 
