@@ -309,6 +309,14 @@ def test_a_symmetric_mode_is_not_damped_by_springs_that_stiffen():
     assert "PROVED" not in _statuses(system, {"q_1": 0}, near={"q_0": 0, "q_2": 0})[1:]
 
 
+def test_a_convex_storage_with_a_gamma_that_bends_has_other_rests():
+    """Along ``q1 + 3 sin q2 = 0``, which the law holds, a bowl has several hollows."""
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    G = ca.vertcat(1, 3 * ca.cos(q[1]))
+    system = Mechanical(q, p, M=ca.SX.eye(2), V=ca.sumsqr(q) / 20, D=[1, 1], G=G)
+    assert _statuses(system, {"q_0": 0, "q_1": 0}, DynamicExtension(3, 3, 5, 1)) == ("PROVED", "PROVED", "REFUTED")
+
+
 @pytest.mark.parametrize(("a", "b", "quartic"), [(0.5, 0.5, 1), (0.5, 0.25, 0)])
 def test_what_swings_while_the_output_sees_a_constant_is_not_damped(a, b, quartic):
     """The output sees a q1^2 + b q2^2, which stays what it is while (q1, q2) runs around an ellipse."""

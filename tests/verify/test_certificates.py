@@ -211,6 +211,16 @@ def test_theta_at_its_margin():
         assert outcomes(signed(document))["theta"] == "fails"
 
 
+@pytest.mark.parametrize(("gain", "value"), [("K_c", "[[1]]"), ("R_c", "[[1/2]]"), ("K_l", "[[10]]"), ("R_l", "[[1]]")])
+def test_a_gain_that_is_not_positive_is_not_believed_to_be(gain, value):
+    document = certificate_of("damped_oscillator")
+    line = f"gain {gain} = {value}"
+    assert line in document["model"]
+    for other in ("[[-1]]", "[[0]]"):
+        model = [f"gain {gain} = {other}" if text == line else text for text in document["model"]]
+        assert outcomes(signed(document | {"model": model}))["gain-definiteness"] == "fails", other
+
+
 def test_a_claim_that_nobody_knows_fails():
     document = certificate_of("oscillator")
     document["claims"][0]["claim"] = "assumption-4"

@@ -19,6 +19,7 @@ from pbcgen.control.derive import derive
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.proof.claim import Status
 from pbcgen.symbolic.plain.formulas import Malformed
+from pbcgen.verify.stability import Stability
 
 pytestmark = pytest.mark.system
 
@@ -245,6 +246,34 @@ def test_a_set_that_does_not_rest_or_misses_x_star_is_refused():
         {k: v + 1 for k, v in found.items()},
     ):
         assert outcomes(with_witness(document, LOCAL, set=changed))[LOCAL] == "fails"
+
+
+def test_a_division_by_what_vanishes_at_x_star_shows_nothing():
+    """Mass 2 swings unseen where q1 = 1/2; the equation ``(q1 - 1/2) p2 = 0`` over ``q1 - 1/2`` would stop it."""
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    system = Mechanical(q, p, M=ca.SX.eye(2), V=ca.sumsqr(q) / 2, D=[1, (q[0] - 0.5) ** 2], G=[1, 0])
+    design = Design(system, {"q_0": "0.5", "q_1": 0}, DynamicExtension(2, 3, 5, 1), sample_period="1e-3")
+    document = _written_for(design)
+    assert status(document, LOCAL) == "REFUTED"
+    n = len(document["terms"])
+    more = [
+        "state 0",
+        "constant 1/2",
+        f"sub {n} {n + 1}",
+        "constant 1",
+        f"div {n + 3} {n + 2}",
+        "constant 0",
+        "state 4",
+    ]
+    document["terms"] += [f"  {n + k} {term}" for k, term in enumerate(more)]
+    zero, ubar = n + 5, n + 6
+    steps = [[None, {"1": n + 4}], [3, 3, zero], [4, 1, zero], [0, 2, zero], [6, 0, ubar]]
+    for entry in document["claims"]:
+        if entry["claim"] == LOCAL:
+            entry.update(status="PROVED", witness={"steps": steps})
+    system = Stability(signed(document), 64)
+    system.settles(system.undriven(), {"steps": steps})  # nothing moves wherever q1 is not 1/2
+    assert outcomes(signed(document))[LOCAL] == "fails"
 
 
 def _states(document):
