@@ -5,7 +5,6 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 import pytest
-from flint import arb, arb_mat
 from scipy.linalg import expm
 
 from pbcgen import Design, DynamicExtension, Limits, Mechanical, ModelError, NaturalDamping, PassiveOutput, pipeline
@@ -17,11 +16,11 @@ from pbcgen.proof.claim import Status
 from pbcgen.proof.spectrum import schur
 from pbcgen.sampling.family import LoopFamily
 from pbcgen.sampling.gain_change import gain_change, scaled
-from pbcgen.sampling.jitter import _decreases, jitter
+from pbcgen.sampling.jitter import jitter
 from pbcgen.sampling.linearisation import Spectrum, delayed_matrix, period_matrix, radius_in_doubles, spectral
-from pbcgen.sampling.scan import _begin, _cell, _neumann, scan
+from pbcgen.sampling.scan import scan
 from pbcgen.sampling.transition import LinearLoop, Transition
-from pbcgen.symbolic.real import ball, enclose, precision, rational
+from pbcgen.symbolic.real import ball, precision, rational
 from pbcgen.tuning.trial import Trial
 
 
@@ -224,67 +223,6 @@ def test_cells_overlap_from_zero_and_are_stable_inside(rlc):
         assert schur(delayed_matrix(linear, lo + (hi - lo) / 3)).status is Status.PROVED
 
 
-def _random_loop(seed):
-    """Two modes and a filter, stable in continuous time; the filter steps implicitly."""
-    rng = np.random.default_rng(seed)
-    numbers = [Fraction(int(v), 8) for v in rng.integers(1, 33, 5)]
-    w, damping, gain, leak, stiff = (rational(v) for v in numbers)
-    one, zero = rational(Fraction(1)), rational(Fraction(0))
-    A = [[zero, one, zero], [-w * w, -damping / 8, one], [zero, zero, -one - damping]]
-    B, H = [[zero], [one], [one / 2]], [[one, zero, one / 3]]
-    return LinearLoop(A, B, H, [[-stiff]], [[-leak]], [[-2 * gain]], [[one / 4]])
-
-
-def _radius(transition, h):
-    M = transition.jet(ball(rational(h))).c0
-    return max(float(v.abs_upper()) for v in M.eig(algorithm="approx"))
-
-
-@pytest.mark.parametrize("delay", [Fraction(0), Fraction(1, 2), Fraction(1)])
-@pytest.mark.parametrize("seed", [0, 1, 3, 4, 6, 7, 10])
-def test_no_cell_holds_a_period_that_is_unstable(seed, delay):
-    """Cells about the end of the stable periods, of all widths; those that end before it may hold."""
-    with precision(128):
-        transition = Transition(_random_loop(seed), delay)
-        stable, unstable = Fraction(1, 1000), Fraction(1, 1000)
-        while _radius(transition, unstable) < 1:
-            stable, unstable = unstable, unstable * Fraction(9, 8)
-        for _ in range(30):
-            middle = ((stable + unstable) / 2).limit_denominator(10**12)
-            stable, unstable = (middle, unstable) if _radius(transition, middle) < 1 else (stable, middle)
-        for k in range(1, 12):
-            width = unstable / 2**k
-            for share in (Fraction(1, 100), Fraction(1, 2), Fraction(99, 100)):
-                lo = unstable - width * share
-                assert not _holds(transition, lo, lo + width), (k, share)
-        assert _holds(transition, stable * Fraction(9, 10), stable * Fraction(901, 1000))
-        if not delay:
-            first = _begin(transition, Fraction(1000))
-            assert first is None or 0 < first < unstable
-
-
-def _holds(transition, lo, hi):
-    centre, r = ball(rational((lo + hi) / 2)), arb(ball(rational((hi - lo) / 2)).upper())
-    return _cell(transition, centre, r, enclose(lo, hi))
-
-
-def test_a_geometric_series_of_matrices_is_bounded_where_it_converges():
-    P = [[Fraction(1, 2), Fraction(1, 4)], [Fraction(1, 8), Fraction(1, 4)]]
-    bound = _neumann(arb_mat([[ball(rational(v)) for v in row] for row in P]))
-    truth = np.linalg.inv(np.eye(2) - np.array(P, dtype=float))
-    assert all(truth[i, j] * (1 - 1e-9) <= float(bound[i, j].mid()) for i in range(2) for j in range(2))
-    with pytest.raises(ZeroDivisionError):
-        _neumann(arb_mat([[2, 0], [0, 0]]))
-
-
-def test_a_loop_that_is_unstable_in_continuous_time_has_no_first_cell():
-    loop = _random_loop(1)
-    with precision(128):
-        assert _begin(Transition(loop), Fraction(1)) is not None
-        pushed = LinearLoop(loop.A, loop.B, loop.H, loop.r_m, loop.r_xi, [[rational(Fraction(100))]], loop.u_xi)
-        assert _begin(Transition(pushed), Fraction(1)) is None
-
-
 def test_a_window_of_instability_is_not_jumped():
     # A lightly damped oscillator sampled near multiples of its half period: stable, unstable, stable again.
     one, zero = rational(Fraction(1)), rational(Fraction(0))
@@ -327,34 +265,6 @@ def test_jitter_has_a_common_storage(rlc):
     beyond = jitter(linear, h * 3, Fraction(1, 2))  # the upper end is unstable
     assert beyond.status is Status.UNDECIDED
     assert 0 < beyond.share < Fraction(381, 300) - 1
-
-
-@pytest.mark.parametrize("seed", [0, 1, 6, 10])
-def test_a_storage_that_grows_for_one_period_is_no_common_storage(seed):
-    """Storages between the one that is found and others: where a sampled period makes one grow, none is proved."""
-    loop, h, share = _random_loop(seed), Fraction(1, 20), Fraction(2, 5)
-    found = jitter(loop, h, share)
-    assert found.status is Status.PROVED
-    rng = np.random.default_rng(seed)
-    grown = 0
-    with precision(128):
-        transition = Transition(loop, steps=h)
-        for scale in (0.0, 0.01, 0.1, 0.3, 1.0, 3.0):
-            F = found.storage @ (np.eye(4) + scale * rng.normal(size=(4, 4)))
-            for lo, hi in ((h * (1 - share), h * (1 + share)), (h, h * 40)):
-                worst = max(_growth(transition, F, lo + (hi - lo) * k / 16) for k in range(17))
-                proved = _decreases(transition, F, lo, hi)
-                assert not (proved and worst > 1)
-                grown += worst > 1
-        assert _decreases(transition, found.storage, h * (1 - share), h * (1 + share))
-    assert grown >= 4
-
-
-def _growth(transition, F, h):
-    """The largest ``|F M(h) z| / |F z|``."""
-    M = transition.real(transition.jet(ball(rational(h)))).c0
-    numbers = np.array([[float(v.mid()) for v in row] for row in M.tolist()])
-    return np.linalg.norm(F @ numbers @ np.linalg.inv(F), 2)
 
 
 @pytest.mark.system
