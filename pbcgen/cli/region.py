@@ -27,7 +27,7 @@ def register(app: typer.Typer) -> None:
         boxes: Annotated[int, typer.Option(help="How many boxes of states to look at.", min=1)] = 20_000,
         json: options.Json = False,
     ) -> Outcome:
-        """Certify a region of attraction: a level set of the Lyapunov function, else an ellipsoid."""
+        """Certify from which states the loop settles. A level set of the Lyapunov function, else an ellipsoid."""
         return run(model, boxes=boxes, json=json)
 
 

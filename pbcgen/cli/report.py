@@ -51,7 +51,7 @@ def register(app: typer.Typer) -> None:
         allow: options.Allow = None,
         json: options.Json = False,
     ) -> Outcome:
-        """Write one self-contained page: derivation, verdicts, plots, the C interface."""
+        """Write one page with everything. It holds derivation, verdicts, plots and the C interface."""
         settings = options.Settings(precision, sample_period, options.claims(allow))
         wishes = Wishes(before, law, region, tuple(target or ()))
         return run(model, output, settings, wishes, json=json)

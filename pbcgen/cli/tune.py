@@ -54,7 +54,7 @@ def register(app: typer.Typer) -> None:
         sample_period: options.SamplePeriod = None,
         json: options.Json = False,
     ) -> Outcome:
-        """Choose gains that are proved, from limits, sample period and a wish."""
+        """Choose gains, and prove them. They come from limits, sample period and a wish."""
         from pbcgen.models.exact import positive
         from pbcgen.tuning.tuning_problem import Route, Wish
 

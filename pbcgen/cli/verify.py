@@ -35,7 +35,7 @@ def register(app: typer.Typer) -> None:
         ] = False,
         json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
     ) -> Outcome:
-        """Check a certificate with the small independent checker; for a package, its files too."""
+        """Check a certificate or a package again. The small checker shares nothing with the provers."""
         return run(certificate, strict=strict, json=json)
 
 
