@@ -28,7 +28,7 @@ from pbcgen.law.solves import with_tanh
 from pbcgen.models.design import Design
 from pbcgen.models.identity import model_hash
 from pbcgen.models.source import located
-from pbcgen.proof.claim import ELSEWHERE, EMISSION_CLAIMS, Claim, Status
+from pbcgen.proof.claim import ELSEWHERE, EMISSION_CLAIMS, NOT_REACHED, Claim, Status
 
 if TYPE_CHECKING:
     from pbcgen.control.attraction import Region
@@ -253,7 +253,9 @@ def _hints(report: Report, blocking: Sequence[Claim]) -> list[str]:
 
 def _refusal(report: Report, blocking: Sequence[Claim]) -> str:
     lines = [f"no code for `{report.design.name}`: these claims are not PROVED"]
-    lines += [f"  {c.claim} is {c.status}: {c.evidence}" for c in blocking]
+    lines += [f"  {c.claim} is {c.status}: {c.evidence}" for c in blocking if c.method != NOT_REACHED]
+    if skipped := [c.claim for c in blocking if c.method == NOT_REACHED]:
+        lines.append(f"  not reached: {', '.join(skipped)}")
     lines += [f"  hint: {hint}" for hint in _hints(report, blocking)]
     if not blocking or any(c.claim in ("equilibrium", "measurability") for c in blocking):
         lines.append("  without them there is no law to emit, so --allow does not help")

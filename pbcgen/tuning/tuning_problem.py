@@ -22,7 +22,7 @@ from pbcgen.passivity.dissipation import port_damping
 from pbcgen.passivity.shaping import Shape, shape_at
 from pbcgen.passivity.storage import assumption_1
 from pbcgen.passivity.structure import PowerStructure
-from pbcgen.proof.claim import Claim, Status
+from pbcgen.proof.claim import NOT_REACHED, Claim, Status
 from pbcgen.proof.definite import positive_definite
 from pbcgen.sampling.family import LoopFamily
 from pbcgen.sampling.linearisation import Figures, Spectrum
@@ -228,7 +228,8 @@ class Problem:
 
 def _stuck(claims: Sequence[Claim]) -> str:
     needed = ("equilibrium", "passive-output", "measurability", "assumption-3")
-    blocking_claims = [c for c in claims if c.claim in needed and c.status is not Status.PROVED]
+    decided = [c for c in claims if c.method != NOT_REACHED]
+    blocking_claims = [c for c in decided if c.claim in needed and c.status is not Status.PROVED]
     lines = [
         f"{c.claim} is {c.status}: {c.evidence}" + (f" (hint: {c.hint})" if c.hint else "") for c in blocking_claims
     ]
