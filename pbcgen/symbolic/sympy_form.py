@@ -26,9 +26,6 @@ from pbcgen.symbolic.tape import Matrix, Tape
 #: A formula of more operations than this is not worth reading.
 LARGEST = 160
 
-#: Fractions with at most this denominator are shown as such.
-_SMALL = 16
-
 _GREEK_NAMES = """
     alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau phi chi psi omega
     Gamma Delta Theta Lambda Xi Pi Sigma Phi Psi Omega Upsilon
@@ -67,14 +64,14 @@ def size_text(operations: int) -> str:
 
 def number(value: Fraction) -> Any:
     """A rational for a reader: a small fraction stays one, anything else is a decimal of twelve digits."""
-    if value.denominator <= _SMALL:
+    if value.denominator <= 16:
         return sympy.Rational(value.numerator, value.denominator)
     return sympy.Float(f"{float(value):.12g}", 12)
 
 
-def symbol(name: str) -> sympy.Symbol:
-    """The symbol for a name of the model."""
-    return sympy.Symbol(name, real=True)
+def symbol(name: str) -> Any:
+    """The symbol for a name of the model; an exact number stands in formulas as a symbol called ``(p/q)``."""
+    return number(Fraction(name[1:-1])) if name.startswith("(") else sympy.Symbol(name, real=True)
 
 
 def name_as_latex(name: str) -> str:
@@ -275,15 +272,6 @@ class _Printer(LatexPrinter):  # type: ignore[misc]
 
     def _print_Symbol(self, expr: sympy.Symbol, style: str = "plain") -> str:
         return name_as_latex(expr.name)
-
-    def _print_Rational(self, expr: sympy.Rational) -> str:
-        """Small fractions as they are, others as decimals where these are short."""
-        value = Fraction(int(expr.p), int(expr.q))
-        shown = f"{float(value):.6g}"
-        if value.denominator <= _SMALL or Fraction(shown) != value:
-            text: str = super()._print_Rational(expr)
-            return text
-        return decimal_as_latex(float(value))
 
     def _print_Float(self, expr: sympy.Float) -> str:
         return decimal_as_latex(float(expr), 10)

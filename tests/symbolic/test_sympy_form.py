@@ -113,3 +113,8 @@ def test_a_graph_has_the_value_of_casadi_in_sympy_too(case):
         found = _sympy_value(expression, symbols, point)
         if found is not None and np.isfinite(expected):
             assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_a_symbol_that_stands_for_a_number_is_shown_as_the_number():
+    c, x = ca.SX.sym("(1/100)"), ca.SX.sym("x")
+    assert latex(from_sx(c * x, [c, x])[0][0]) == "0.01 x"
