@@ -43,10 +43,10 @@ demo-%: env
 	@$(PBCGEN) report $* -o demo/$*.html
 
 test: lint ## lint, types and tests
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist loadgroup
 
 unit: env ## the tests without those of whole systems: no compiler runs, emulation, browser, site or installation
-	$(BIN)/python -m pytest -n 2 -m "not system"
+	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not system"
 
 lint: env ## style and types
 	$(BIN)/ruff check

@@ -7,7 +7,8 @@ from pbcgen.models.loader import load
 from pbcgen.proof.claim import Status
 from pbcgen.report import paper_figures as figures
 
-pytestmark = pytest.mark.system
+# The simulations take most of a minute and are shared: all in one worker.
+pytestmark = [pytest.mark.system, pytest.mark.xdist_group("paper figures")]
 
 
 @pytest.fixture(scope="module")
