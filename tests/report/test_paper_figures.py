@@ -8,7 +8,7 @@ from pbcgen.proof.claim import Status
 from pbcgen.report import paper_figures as figures
 
 # The simulations take most of a minute and are shared: all in one worker.
-pytestmark = [pytest.mark.system, pytest.mark.xdist_group("paper figures")]
+pytestmark = [pytest.mark.system, pytest.mark.xdist_group("paper")]
 
 
 @pytest.fixture(scope="module")
