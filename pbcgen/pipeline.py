@@ -52,6 +52,7 @@ class Report:
         loop: plant and continuous law for simulation, or None when the derivation stopped before it.
         model_hash: SHA-256 of the canonical text of the design.
         timings: seconds of each stage.
+        derivation: what the claims rest on, with formulas and matrices.
         unwritable: why the law cannot be computed in the precision of the code; empty if it can.
         tanh: how the code computes tanh; None for what the precision suggests.
     """
