@@ -291,5 +291,5 @@ def latex(formula: Formula) -> str:
     """LaTeX of a formula."""
     if isinstance(formula, TooLarge):
         return formula.latex
-    text: str = _Printer({"ln_notation": True}).doprint(formula)
+    text: str = _Printer({"ln_notation": True, "mul_symbol": r"\,"}).doprint(formula)
     return text

@@ -199,4 +199,4 @@ def test_no_lyapunov_function_is_stated_without_a_passive_output():
 def test_the_loss_of_a_circuit_is_a_short_sum_in_the_rates():
     (step,) = (step for step in steps(derive(load("rlc"))) if step.key == "storage")
     (loss,) = (formula.latex for formula in step.formulas if formula.caption.startswith("Dissipation"))
-    assert loss.endswith(r"= r \dot{x}_{2}^2 + \frac{a e^{\frac{x_{3}}{b}}}{b} \dot{x}_{3}^2, \quad \dot x = f")
+    assert loss.endswith(r"= r \dot{x}_{2}^2 + \frac{a\,e^{\frac{x_{3}}{b}}}{b} \dot{x}_{3}^2, \quad \dot x = f")

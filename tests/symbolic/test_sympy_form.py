@@ -34,7 +34,7 @@ def test_an_exact_function_groups_states_with_factored_coefficients():
     p, x = plant.system.parameters, plant.system.x
     field, (value,) = plant.exact(p.R2 * x[0] / (p.R1 + p.R2), symbolic=True)
     shown = latex(from_function(value.scalar(field.const(0)), plant.parameter_positions()))
-    assert shown == r"\frac{R_{2} x_{1}}{R_{1} + R_{2}}"
+    assert shown == r"\frac{R_{2}\,x_{1}}{R_{1} + R_{2}}"
 
 
 def test_a_formula_that_explodes_is_not_written_out():
@@ -117,4 +117,4 @@ def test_a_graph_has_the_value_of_casadi_in_sympy_too(case):
 
 def test_a_symbol_that_stands_for_a_number_is_shown_as_the_number():
     c, x = ca.SX.sym("(1/100)"), ca.SX.sym("x")
-    assert latex(from_sx(c * x, [c, x])[0][0]) == "0.01 x"
+    assert latex(from_sx(c * x, [c, x])[0][0]) == r"0.01\,x"
