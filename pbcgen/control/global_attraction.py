@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import casadi as ca
 
+from pbcgen.control.absolute import METHOD, absolutely_stable
 from pbcgen.control.only_rest import only_rest, storage_is_convex
 from pbcgen.control.other_rest import other_rest
 from pbcgen.control.situation import Situation
@@ -42,7 +43,10 @@ def globally(situation: Situation, by_lyapunov: bool, asymptotic: Claim, stored:
     if proved_or_open.status is Status.PROVED:
         return proved_or_open
     found = other_rest(situation)
-    return proved_or_open if found is None else _second(situation, found)
+    if found is not None:
+        return _second(situation, found)
+    why = absolutely_stable(situation)
+    return proved_or_open if why is None else _verdict(Status.PROVED, METHOD, why)
 
 
 def by_storage(situation: Situation, by_lyapunov: bool) -> Claim:

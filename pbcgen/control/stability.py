@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
+from pbcgen.control.absolute import METHOD as ABSOLUTE
 from pbcgen.control.attractivity import beyond_linearisation, locally_by_storage
 from pbcgen.control.global_attraction import by_storage, globally
 from pbcgen.control.leaves import stable_on_leaves
@@ -59,7 +60,7 @@ def stability(situation: Situation, h: Fraction, sampling: Sampling) -> Stabilit
         missing if premises else ["the whole route"],
         spared,
         asymptotic,
-        overall,
+        overall if overall.method != ABSOLUTE else replace(overall, status=Status.UNDECIDED),  # it is not the storage's
         sampling,
     )
     if by_lyapunov:

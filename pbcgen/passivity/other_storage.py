@@ -17,12 +17,12 @@ import casadi as ca
 import numpy as np
 from flint import fmpq
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.integrate import common_denominator, potential
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.proof.claim import Status
+from pbcgen.proof.cutting_planes import boundary, interior
 from pbcgen.proof.definite import positive_definite, positive_semidefinite
 from pbcgen.symbolic.coefficients import Coefficients
 from pbcgen.symbolic.display import formula
@@ -33,8 +33,6 @@ from pbcgen.symbolic.real_matrices import RealMatrix
 
 #: Systems with more states, or more unknowns that are left, are not searched.
 _MOST_STATES, _MOST_FREE = 8, 40
-#: Linear programmes that are solved, and when a violated matrix inequality is good enough.
-_ROUNDS, _SMALL = 150, 1e-7
 #: How the weights of a solution are rounded.
 _DENOMINATORS = (1, 2, 4, 10, 100, 1000, 10**6)
 #: Longer formulas are not shown.
@@ -155,7 +153,8 @@ class _Search:
         bends = [(m @ slope + (m @ slope).T) / 2 for m in matrices]
         scales = [max(float(np.max(np.abs(np.stack(part)))), 1e-300) for part in (losses, bends)]
         for margin in (True, False):
-            t = _interior([np.stack(losses) / scales[0], np.stack(bends) / scales[1]], margin)
+            families = [np.stack(losses) / scales[0], np.stack(bends) / scales[1]]
+            t = interior(families) if margin else boundary(families)
             if t is None or not np.max(np.abs(t)) > 0:
                 continue
             t = t / np.max(np.abs(t))
@@ -163,35 +162,6 @@ class _Search:
                 weights = [Fraction(float(v)).limit_denominator(denominator) for v in t]
                 if any(weights):
                     yield weights
-
-
-def _interior(families: Sequence[_Array], margin: bool) -> _Array | None:
-    """t in [-1, 1]^d with ``sum t_k M_k >= s I`` for each family and s as large as possible, or their traces."""
-    count = len(families[0])
-    rows: list[_Array] = []
-    traces = sum(np.trace(family, axis1=1, axis2=2) for family in families)
-    goal = np.append(np.zeros(count) if margin else -np.asarray(traces), -1.0 if margin else 0.0)
-    bounds = [(-1.0, 1.0)] * count + [(0.0, 1.0)]
-    t: _Array | None = None
-    for _ in range(_ROUNDS):
-        cuts = np.array(rows) if rows else None
-        solution = linprog(goal, cuts, None if cuts is None else np.zeros(len(rows)), bounds=bounds, method="highs")
-        if solution.x is None:
-            return None
-        t, s = np.asarray(solution.x[:-1]), float(solution.x[-1])
-        if margin and s < _SMALL:
-            return None
-        worst = 0.0
-        for family in families:
-            values, vectors = np.linalg.eigh(np.tensordot(t, family, 1))
-            for value, v in zip(values, vectors.T, strict=True):
-                missing = (s if margin else 0.0) - value
-                if missing > _SMALL:
-                    worst = max(worst, missing)
-                    rows.append(np.append(-np.einsum("i,kij,j->k", v, family, v), 1.0 if margin else 0.0))
-        if worst == 0.0 or (margin and worst < s / 2):
-            return t
-    return None
 
 
 def _equations(plant: Plant, unread: Sequence[int], diagonal: bool) -> dict[object, Row] | None:
