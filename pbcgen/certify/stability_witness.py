@@ -144,7 +144,7 @@ class _Work:
         if claim.status is Status.REFUTED:
             return self._conserved() or self._undamped() or self._large(system.continuous, "hurwitz")
         if len(system.continuous) <= LARGEST_ROUTH:
-            return None if stable(system.continuous, False) else self._by_steps()
+            return None if stable(system.continuous, False) else self._globally() or self._by_steps()
         if (found := self._by_storage()) is not None:
             return found
         return self._large(system.continuous, "hurwitz")
@@ -158,11 +158,16 @@ class _Work:
         isolated = sign(arb_mat(self.system.continuous).det()) in (1, -1)
         return steps_to_rest(self.system, self.terms) if isolated else None
 
+    def _globally(self) -> Witness:
+        """That the global claim is proved, and checked."""
+        overall = next(c for c in self.derivation.claims if c.claim == GLOBAL)
+        proved = overall.status is Status.PROVED and self.everywhere(overall) is not None
+        return {"globally": True} if proved else None
+
     def _by_storage(self) -> Witness:
         """The Lyapunov function's steps: those of the global claim, if that is proved."""
-        overall = next(c for c in self.derivation.claims if c.claim == GLOBAL)
-        if overall.status is Status.PROVED and self.everywhere(overall) is not None:
-            return {"globally": True}
+        if (found := self._globally()) is not None:
+            return found
         try:
             self.system.lyapunov()
         except _GIVE_UP:

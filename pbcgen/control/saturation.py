@@ -27,8 +27,8 @@ from pbcgen.symbolic.real import BITS, Real, midpoint, precision, rational, sign
 
 #: Slightly more than pi: a box that covers a period of sine and cosine.
 _PI = Fraction(355, 113)
-#: The bounds of grad V are not closer than that, relative to the limit.
-_UNSEEN = 1e-6
+#: A limit that is exceeded by less, relative to its size, is taken to be touched: no state is looked for.
+_UNSEEN = 1e-9
 #: Boxes for each limit that a force may touch.
 _BOXES = 2000
 

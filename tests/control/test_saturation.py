@@ -54,7 +54,7 @@ def test_an_unbounded_potential_leaves_the_limits_somewhere():
     assert interval is None
 
 
-@pytest.mark.parametrize(("limit", "status"), [("2.7", "REFUTED"), ("2.77", "PROVED")])
+@pytest.mark.parametrize(("limit", "status"), [("2.7", "REFUTED"), ("2.760172", "REFUTED"), ("2.77", "PROVED")])
 def test_a_limit_is_refuted_with_positions_at_which_it_is_exceeded(limit, status):
     """sin q + sin 2q and alpha = 1 reach 2.7601725 together."""
     claim, _ = _pendulum(lambda q: -ca.cos(q) - ca.cos(2 * q) / 2, limit)

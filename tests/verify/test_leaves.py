@@ -108,3 +108,23 @@ def test_other_numbers_are_refused(name, value):
     entry["witness"][name] = value
     assert outcomes(signed(document))["stable"] == "checked"
     assert outcomes(signed(spoiled))["stable"] == "fails"
+
+
+def test_three_alike_modes_that_nothing_sees_have_eigenvalues_that_cannot_be_told_apart():
+    q, p = ([ca.SX.sym(f"{name}{k}") for k in range(4)] for name in "qp")
+    V = q[0] ** 2 + sum((q[0] - other) ** 2 for other in q[1:])
+    star = Mechanical(q, p, M=[1, 1, 1, 1], V=V, D=[0.5, 0, 0, 0], G=[1, 0, 0, 0])
+    law = DynamicExtension(alpha=5, beta=2, K_c=10, R_c=1)
+    derivation = derive(Design(star, {"q0": 0}, law, sample_period="1e-3", name="star"))
+    found = outcomes(json.loads(json.dumps(certificate(derivation))))
+    assert (found["stable"], found["asymptotically-stable"]) == ("checked", "checked")
+
+
+def test_springs_that_stiffen_are_eliminated_quickly_enough():
+    """The chain of implications multiplies polynomials of fourth degree out."""
+    q1, q2, p1, p2 = (ca.SX.sym(name) for name in ("q1", "q2", "p1", "p2"))
+    V = q1**2 / 2 + q2**2 / 2 + (q1 - q2) ** 4
+    pair = Mechanical([q1, q2], [p1, p2], M=[1, 1.5], V=V, D=[0.1, 0], G=[1, 0])
+    law = DynamicExtension(alpha=9, beta=2, K_c=10, R_c=1)
+    derivation = derive(Design(pair, {"q1": 0}, law, sample_period="1e-3", name="pair"))
+    assert {*outcomes(json.loads(json.dumps(certificate(derivation)))).values()} == {"checked"}

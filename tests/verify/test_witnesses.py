@@ -58,7 +58,7 @@ KINDS = {
     "softening_spring": (GLOBAL, "REFUTED", "centre"),
     "weakly_held_pendulum": (GLOBAL, "REFUTED", "centre"),
     "compensated_pendulum": (GLOBAL, "PROVED", "fixed"),
-    "uncoupled_cubic_damping": (LOCAL, "PROVED", "steps"),
+    "uncoupled_cubic_damping": (LOCAL, "PROVED", "globally"),
     "undamped_mode": (LOCAL, "REFUTED", "set"),
     "antisymmetric_mode": (LOCAL, "REFUTED", "set"),
     "conserved_charge": (LOCAL, "REFUTED", "conserved"),

@@ -144,7 +144,7 @@ def stable(a: Matrix, discrete: bool, storage: Matrix | None = None) -> bool | N
     signs = _routh([polynomial[k] for k in range(size, -1, -1)])
     if not {None, 0} & {*signs}:
         return len({*signs}) == 1
-    return False if any(z.real > 0 for z in acb_mat(matrix).eig(multiple=True)) else None
+    return False if any(z.real > 0 for z in acb_mat(matrix).eig(multiple=True, nonstop=True)) else None
 
 
 def _routh(descending: list[arb]) -> list[int | None]:
