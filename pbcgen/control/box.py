@@ -53,6 +53,8 @@ from pbcgen.symbolic.real_matrices import RealMatrix, diagonal, exact_matrix
 
 #: Cells that are tried before the claim stays open.
 _CELLS: Final = 2500
+#: The search is given up where this part of the cells has proved less than that share of the box.
+_PATIENCE, _LEAST_SHARE = 0.1, 1e-4
 #: Corners are tried while there are no more than these, and as many middles of cells that resist.
 _CORNERS: Final = 64
 #: Where the box is not proved: shares of it around the declared setting, and the cells that each may take.
@@ -188,14 +190,14 @@ class _Box:
     def cover(self, whole: Box, budget: int) -> int | _Open | _Refuted:
         """The number of cells on which a box is proved, or what resists."""
         budget //= 1 + _PERIODS * bool(self.sampling.jitter)
-        waiting, proved, middles, left = [whole], 0, 0, _Open("", "")
-        for _ in range(budget):
-            if not waiting:
-                return proved
+        waiting, proved, middles, left, done = [whole], 0, 0, _Open("", ""), 0.0
+        for count in range(1, budget + 1):
+            if not waiting or (done < _LEAST_SHARE and count > _PATIENCE * budget):
+                break
             cell = waiting.pop()
             status, reason = self.decide(cell)
             if status is Status.PROVED:
-                proved += 1
+                proved, done = proved + 1, done + _share(cell, whole)
                 continue
             if middles < _CORNERS:
                 middles += 1
@@ -204,7 +206,7 @@ class _Box:
                 if status is Status.REFUTED:
                     return self._at(middle, why)
             waiting += self._halves(cell)
-            left = _Open(f"{self._show(cell)} after {budget} cells", reason)
+            left = _Open(f"{self._show(cell)} after {count} cells", reason)
         return left if waiting else proved
 
     def _at(self, point: Box, why: str) -> _Refuted:
@@ -368,6 +370,11 @@ class _Box:
         if self.reached is None:
             self.reached = found
         self.reached = [(min(a, c), max(b, d)) for (a, b), (c, d) in zip(self.reached, found, strict=True)]
+
+
+def _share(cell: Box, whole: Box) -> float:
+    """The share of a box that a cell of it has."""
+    return math.prod(float((hi - lo) / (b - a)) for (lo, hi), (a, b) in zip(cell, whole, strict=True) if b > a)
 
 
 def _balls(cell: Box) -> list[Real]:

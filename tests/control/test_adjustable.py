@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Limits, NaturalDamping, pipeline
+from pbcgen.control.box import _Box
 from pbcgen.control.cells import Loops
+from pbcgen.control.sampled import Sampling
 from pbcgen.errors import ModelError, NotProved
 from pbcgen.law.step import ReferenceStep
 from pbcgen.models.loader import load
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.target_map import NotExplicit, TargetMap, target_map
+from pbcgen.proof.boxes import halves, longest_side
 from pbcgen.proof.claim import Status
 from pbcgen.run.simulate import simulate_sampled
 from pbcgen.run.wrapper import Controller
@@ -382,3 +386,31 @@ def test_any_setting_of_a_proved_box_passes_as_a_design_of_its_own(seed: int) ->
     own = {c.claim: c.status for c in pipeline.check(arm.with_(target=target)).claims}
     needed = ("equilibrium", "measurability", "saturation", "asymptotically-stable", "sampled-stable")
     assert all(own[name] is Status.PROVED for name in needed)
+
+
+def _cover(passes, budget=1000):
+    """The search for cells, each of which passes or not; halved across its longest side."""
+    tried = []
+
+    def decide(cell):
+        tried.append(cell)
+        return (Status.PROVED if passes(*(hi - lo for lo, hi in cell), cell[0][0]) else Status.UNDECIDED), "why"
+
+    def cut(cell):
+        return [*reversed(halves(cell, longest_side(cell, [Fraction(1), Fraction(1)])))]
+
+    parts = {"sampling": Sampling(), "decide": decide, "_halves": cut, "_show": lambda cell: "a cell"}
+    one = (Fraction(0), Fraction(1))
+    return _Box.cover(SimpleNamespace(**parts), (one, one), budget), len(tried)
+
+
+def test_a_box_that_needs_too_many_cells_is_given_up_early() -> None:
+    """Cells below 2^-4 take 256 of them, below 2^-12 millions; an edge that is hard is no reason to give up."""
+    assert _cover(lambda width, height, left: max(width, height) <= Fraction(1, 16))[0] == 256
+    found, tried = _cover(lambda width, height, left: max(width, height) <= Fraction(1, 2**12))
+    assert "after 100 cells" in found.where
+    assert tried < 200
+    found, _ = _cover(lambda width, height, left: width <= (Fraction(1, 2) if left else Fraction(1, 2**7)))
+    assert isinstance(found, int)
+    found, _ = _cover(lambda width, height, left: False)
+    assert not isinstance(found, int)

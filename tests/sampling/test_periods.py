@@ -112,6 +112,8 @@ def test_a_geometric_series_of_matrices_is_bounded_where_it_converges():
     assert all(truth[i, j] * (1 - 1e-9) <= float(bound[i, j].mid()) for i in range(2) for j in range(2))
     with pytest.raises(ZeroDivisionError):
         _neumann(arb_mat([[2, 0], [0, 0]]))
+    with pytest.raises(ZeroDivisionError):  # the weights that solve for it are negative
+        _neumann(arb_mat([[3, 0], [0, 0]]))
 
 
 def test_a_loop_that_is_unstable_in_continuous_time_has_no_first_cell():
