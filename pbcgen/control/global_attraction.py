@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from fractions import Fraction
 
 import casadi as ca
 
 from pbcgen.control.absolute import METHOD, absolutely_stable
+from pbcgen.control.escape import growth_rate
 from pbcgen.control.only_rest import only_rest, storage_is_convex
 from pbcgen.control.other_rest import other_rest
 from pbcgen.control.situation import Situation
@@ -45,6 +47,9 @@ def globally(situation: Situation, by_lyapunov: bool, asymptotic: Claim, stored:
     found = other_rest(situation)
     if found is not None:
         return _second(situation, found)
+    rate = growth_rate(situation)
+    if rate is not None:
+        return _escaping(rate)
     why = absolutely_stable(situation)
     return proved_or_open if why is None else _verdict(Status.PROVED, METHOD, why)
 
@@ -221,6 +226,17 @@ def _with_decimals(plant: Plant, expression: ca.SX) -> ca.SX | None:
     made = plant.parameter_list[len(plant.parameter_list) - len(values) :]
     return (
         ca.substitute(expression, ca.vertcat(*made), ca.SX(ca.DM([float(v) for v in values]))) if made else expression
+    )
+
+
+def _escaping(rate: Fraction) -> Claim:
+    return _verdict(
+        Status.REFUTED,
+        "a mode of the plant that grows faster than bounded inputs can hold; Routh array over the rationals",
+        f"by itself a mode of the plant grows at more than {float(rate):.4g} 1/s, and the law's inputs are bounded: "
+        "where this mode is large enough they never bring it back",
+        "the claim can only be local; `pbcgen region` finds states from where the loop certainly settles",
+        {"growth": str(rate)},
     )
 
 

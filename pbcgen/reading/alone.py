@@ -12,9 +12,9 @@ from pbcgen.reading.system import require
 from pbcgen.symbolic.plain.boxes import Box, ball, covered
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.formulas import rational
-from pbcgen.symbolic.plain.matrices import Matrix, is_definite, product, symmetric, transpose
-from pbcgen.symbolic.plain.spectra import krawczyk, preconditioned
-from pbcgen.symbolic.plain.values import apply, power, sign
+from pbcgen.symbolic.plain.matrices import Matrix, diagonal, is_definite, plus, product, symmetric, transpose
+from pbcgen.symbolic.plain.spectra import krawczyk, preconditioned, stable
+from pbcgen.symbolic.plain.values import NotCheckable, apply, power, sign
 
 #: What is free at the rests, and U, Gamma and the equations as functions of that.
 Rests = tuple[list[int], list[Any]]
@@ -66,14 +66,25 @@ class Alone(Growth):
         return [k for k in range(self.n + self.m) if k not in chain.solved], U + G + zero
 
     def another(self, witness: Mapping[str, Any]) -> None:
-        """There is another rest: by Krawczyk's test, apart from x*."""
+        """There is another rest: by Krawczyk's test, apart from x*. Or a linear plant outgrows bounded inputs."""
+        if "growth" in witness:
+            return self._outgrows(rational(witness["growth"]))
         left, centre = self.left(self.along(self.standing), range(self.n)), [rational(v) for v in witness["centre"]]
         box = krawczyk(left, centre, rational(witness["radius"]))
         require(box is not None, "Krawczyk's test does not hold")
         state = (box or [])[: self.n]
         require({1, -1} & {sign(a - b) for a, b in zip(state, self.rest_point, strict=False)}, "this may be x* again")
         require(self.inside(dict(zip(self.states, state, strict=True))), "the state is not in the domain")
-        require(arb(self.walk(state)["S"][0][0]).is_finite(), "the storage is not defined there")
+        return require(arb(self.walk(state)["S"][0][0]).is_finite(), "the storage is not defined there")
+
+    def _outgrows(self, rate: fmpq) -> None:
+        """f and g u are linear, and f grows at more than a rate in some direction, while the inputs are bounded."""
+        require(rate >= 0 and not self.compensated and not self.model.domain, "the inputs may be large, or states not")
+        A = [[v.number() for v in slopes(self.field, a)[: self.n]] for a in self.column("f")]
+        if not self.model.is_constant("g") or any(v is None for row in A for v in row):
+            raise NotCheckable("the plant is not linear")
+        shifted = plus(A, diagonal([rate] * self.n), -1)
+        require(stable(shifted, False) is False, "no mode certainly grows so fast")
 
     def alone(self, witness: Mapping[str, Any]) -> None:
         """x* is the only rest.
