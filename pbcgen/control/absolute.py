@@ -12,6 +12,10 @@ V' is a polynomial in (zeta, phi) where F is one. Because ``phi_i (z_i - phi_i /
 makes V' < 0 but at x*: x* attracts from everywhere (Lur'e, Popov, the S-procedure). Terms that are not quadratic must
 vanish, which is a linear condition on P: gyroscopic forces and what motors exchange between their coils vanish so. P,
 lambda and tau are proposed in doubles and rounded; the definite forms are decided exactly.
+
+The law `integral` adds ``theta = alpha tanh(beta psi)`` to phi, ``psi' = -r psi + alpha beta sech(beta psi) gamma~``.
+``W = (cosh(beta psi) - 1) / beta^2`` then has ``W' = gamma~ theta - r psi sinh(beta psi) / beta``, which is at most
+``gamma~ theta - r theta^2 / (alpha beta)^2``. V is given ``mu W``, mu >= 0, and the form is one of (zeta, phi, theta).
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, product
 from typing import TypeAlias
 
 import casadi as ca
@@ -30,7 +34,7 @@ from scipy.linalg import matrix_balance
 
 from pbcgen.control.situation import Situation
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.models.laws import DynamicExtension
+from pbcgen.models.laws import DynamicExtension, Integral, Law
 from pbcgen.proof.claim import Status
 from pbcgen.proof.cutting_planes import interior
 from pbcgen.proof.definite import positive_definite
@@ -53,35 +57,48 @@ _Array: TypeAlias = NDArray[np.float64]
 def absolutely_stable(situation: Situation) -> str | None:
     """Why x* attracts from everywhere, in words, or None."""
     system = situation.plant.system
-    if not isinstance(situation.law, DynamicExtension) or system.domain or system.n + system.m > _MOST:
+    base = situation.base
+    if not isinstance(base, DynamicExtension) or system.domain or system.n + system.m > _MOST:
         return None
     try:
-        loop = _Loop.of(situation, situation.law)
+        loop = _Loop.of(situation, base, situation.law)
     except (UnsupportedOperation, ZeroDivisionError):
         return None
     found = None if loop is None else loop.storage()
     if found is None:
         return None
-    popov = " and integrals of the saturations" if any(found[1]) else ""
-    return (
-        f"V = a positive definite quadratic form of x - x* and x_c{popov}: V' < 0 but at x*, whatever is in the sector "
-        "0 <= phi_i / z_i <= alpha_i beta_i"
-    )
+    terms = ["a positive definite quadratic form of x - x* and x_c"]
+    terms += ["integrals of the saturations"] if any(found.popov) else []
+    terms += ["cosh(beta_psi psi)"] if found.integral else []
+    return f"V = {' and '.join(terms)}: V' < 0 but at x*, whatever is in the sectors 0 <= phi_i / z_i <= alpha_i beta_i"
+
+
+@dataclass(frozen=True, eq=False)
+class _Storage:
+    """P, and the weights lambda, tau, and mu of the integral term if there is one."""
+
+    P: _Matrix
+    popov: list[fmpq]
+    sectors: list[fmpq]
+    integral: list[fmpq]
 
 
 @dataclass(frozen=True, eq=False)
 class _Loop:
-    """The rates of (zeta, z) as polynomials in (zeta, phi), the rows of z, and the sectors' slopes."""
+    """The rates of zeta as polynomials in (zeta, phi, theta), z and gamma~, the sectors' slopes, r / (alpha beta)^2."""
 
     rates: list[_Polynomial]
     arguments: list[_Polynomial]
+    outputs: list[_Polynomial]
     slopes: list[fmpq]
+    leaks: list[fmpq]
 
     @staticmethod
-    def of(situation: Situation, law: DynamicExtension) -> _Loop | None:
-        """None where x* is not exact, gamma not affine, or the plant no polynomial."""
+    def of(situation: Situation, base: DynamicExtension, law: Law) -> _Loop | None:
+        """None where x* is not exact, gamma not affine, the plant no polynomial, or a filter psi does not leak."""
         plant, system, point = situation.plant, situation.plant.system, situation.point
-        if not all(isinstance(v, fmpq) for v in (*point.x, *point.u)):
+        leaks = _leaks(law)
+        if leaks is None or not all(isinstance(v, fmpq) for v in (*point.x, *point.u)):
             return None
         n, m = system.n, system.m
         star = [ca.vertcat(*[plant.number(fraction(v), alone=True) for v in part]) for part in (point.x, point.u)]
@@ -94,7 +111,8 @@ class _Loop:
         values = rate.column(zero)
         if any(v is None for row in N for v in row) or not all(v.is_polynomial() for v in values):
             return None
-        places = {**{k: k for k in range(n)}, **{n + j: n + m + j for j in range(m)}}  # x~ and phi among (x~, x_c, phi)
+        places = {k: [k] for k in range(n)}  # of x~ and phi + theta among (x~, x_c, phi, theta)
+        places |= {n + j: [n + m + j, n + 2 * m + j] if leaks else [n + m + j] for j in range(m)}
         rates: list[_Polynomial] = []
         for value in values:
             found: _Polynomial = {}
@@ -102,26 +120,31 @@ class _Loop:
                 used = [k for k, e in enumerate(exponents) for _ in range(int(e))]
                 if any(k not in places for k in used):
                     return None
-                key = tuple(sorted(places[k] for k in used))
-                found[key] = found.get(key, fmpq(0)) + c
+                for chosen in product(*(places[k] for k in used)):
+                    key = tuple(sorted(chosen))
+                    found[key] = found.get(key, fmpq(0)) + c
             rates.append(found)
-        R, K = ([[rational(v) for v in row] for row in gain] for gain in (law.R_c, law.K_c))
+        R, K = ([[rational(v) for v in row] for row in gain] for gain in (base.R_c, base.K_c))
         for row in R:
             own: _Polynomial = {(n + m + j,): -v for j, v in enumerate(row)}
             own |= {(n + j,): -sum((v * K[i][j] for i, v in enumerate(row)), fmpq(0)) for j in range(m)}
             rates.append(own)
-        arguments: list[_Polynomial] = [
-            {**{(k,): v for k, v in enumerate(row) if v is not None}, (n + i,): fmpq(1)} for i, row in enumerate(N)
-        ]
-        slopes = [rational(a * b) for a, b in zip(law.alpha, law.beta, strict=True)]
-        return _Loop(rates, arguments, slopes)
+        outputs: list[_Polynomial] = [{(k,): v for k, v in enumerate(row) if v is not None} for row in N]
+        arguments = [_plus(output, {(n + i,): fmpq(1)}) for i, output in enumerate(outputs)]
+        slopes = [rational(a * b) for a, b in zip(base.alpha, base.beta, strict=True)]
+        return _Loop(rates, arguments, outputs, slopes, leaks)
 
     @property
     def order(self) -> int:
         return len(self.rates)
 
-    def storage(self) -> tuple[_Matrix, list[fmpq], list[fmpq]] | None:
-        """P, lambda and tau that are certainly good, or None."""
+    @property
+    def size(self) -> int:
+        """How many variables (zeta, phi, theta) are."""
+        return self.order + len(self.slopes) + len(self.leaks)
+
+    def storage(self) -> _Storage | None:
+        """P, lambda, tau and mu that are certainly good, or None."""
         if self._hopeless:
             return None
         pairs, parts = self._parts()
@@ -142,7 +165,7 @@ class _Loop:
         if not basis:
             return None
         P = [_symmetric({pair: v for pair, v in zip(pairs, vector, strict=False) if v}, order) for vector in basis]
-        forms = [_symmetric(_combined(parts, vector), order + m, halved=True) for vector in basis]
+        forms = [_symmetric(_combined(parts, vector), self.size, halved=True) for vector in basis]
         weights = [vector[len(pairs) :] for vector in basis]
         for t in self._proposals(P, forms, weights):
             size = len(weights[0])
@@ -151,11 +174,11 @@ class _Loop:
                 continue
             chosen = _sum(P, t)
             if all(positive_definite(matrix).status is Status.PROVED for matrix in (chosen, _sum(forms, t))):
-                return chosen, signs[:m], signs[m:]
+                return _Storage(chosen, signs[:m], signs[m : 2 * m], signs[2 * m :])
         return None
 
     def _parts(self) -> tuple[list[tuple[int, int]], list[_Polynomial]]:
-        """What each unknown adds to ``-V' - sum tau_i phi_i (z_i - phi_i / k_i)``: entries of P, lambda, tau."""
+        """What each unknown adds to the form: entries of P, lambda, tau, mu."""
         order = self.order
         pairs = list(combinations_with_replacement(range(order), 2))
         parts: list[_Polynomial] = []
@@ -169,13 +192,15 @@ class _Loop:
             parts.append(_negative(_times(order + i, rate)))
         for i, (argument, slope) in enumerate(zip(self.arguments, self.slopes, strict=True)):
             parts.append(_plus(_negative(_times(order + i, argument)), {(order + i, order + i): 1 / slope}))
+        for i, (output, leak) in enumerate(zip(self.outputs, self.leaks, strict=False)):
+            theta = order + len(self.slopes) + i
+            parts.append(_plus(_negative(_times(theta, output)), {(theta, theta): leak}))
         return pairs, parts
 
     def _proposals(
         self, P: Sequence[_Matrix], forms: Sequence[_Matrix], weights: Sequence[Sequence[fmpq]]
     ) -> Iterator[list[fmpq]]:
         """Weights of the basis, from cutting planes in balanced coordinates."""
-        order, m = self.order, len(self.slopes)
         scale = self._scales()
         families = [np.array([_floats(M) for M in part]) for part in (P, forms)]
         families = [f * np.outer(scale[: f.shape[1]], scale[: f.shape[1]]) for f in families]
@@ -185,12 +210,11 @@ class _Loop:
             return
         families = [f / sizes[:, None, None] for f in families]
         families[0] /= np.max(np.abs(families[0]))
-        loose = [(signs[:, i] / sizes)[:, None, None] for i in range(2 * m)]
+        loose = [(column / sizes)[:, None, None] for column in signs.T]
         loose = [f / max(float(np.max(np.abs(f))), 1e-300) for f in loose]
         t = interior(families, loose, _ROUNDS)
         if t is None:
             return
-        assert len(scale) == order + m
         t = t / sizes
         t = t / np.max(np.abs(t))
         for denominator in _DENOMINATORS:
@@ -198,8 +222,8 @@ class _Loop:
 
     def _linear(self, share: float) -> _Array:
         """The linear part of the loop with slopes of a share of those of the sectors."""
-        order, m = self.order, len(self.slopes)
-        A = np.zeros((order, order + m))
+        order = self.order
+        A = np.zeros((order, self.size))
         for i, rate in enumerate(self.rates):
             for key, c in rate.items():
                 if len(key) == 1:
@@ -223,7 +247,20 @@ class _Loop:
             max(abs(approximate(c)) * scaling[k] for (k,), c in argument.items()) * approximate(slope)
             for argument, slope in zip(self.arguments, self.slopes, strict=True)
         ]
-        return np.concatenate([scaling, drawn])
+        held = [
+            max(abs(approximate(c)) * scaling[k] for (k,), c in output.items()) / approximate(leak)
+            for output, leak in zip(self.outputs, self.leaks, strict=False)
+        ]
+        return np.concatenate([scaling, drawn, held])
+
+
+def _leaks(law: Law) -> list[fmpq] | None:
+    """``r / (alpha beta)^2`` for each filter psi; None where one does not leak by itself. Without filters: nothing."""
+    if not isinstance(law, Integral):
+        return []
+    gains = enumerate(zip(law.alpha_psi, law.beta_psi, law.R_psi, strict=True))
+    found = [(row[i] / (a * b) ** 2, any(v for j, v in enumerate(row) if j != i)) for i, (a, b, row) in gains]
+    return None if any(leak <= 0 or mixed for leak, mixed in found) else [rational(leak) for leak, _ in found]
 
 
 def _times(k: int, p: _Polynomial) -> _Polynomial:

@@ -4,9 +4,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from pbcgen import AffineSystem, Design, DynamicExtension, Parameters
+from pbcgen import AffineSystem, Design, DynamicExtension, Integral, Mechanical, Parameters
 from pbcgen.control.absolute import METHOD, _Loop
 from pbcgen.control.derive import derive
+from pbcgen.models.laws import base_law
 from pbcgen.proof.claim import Status
 
 
@@ -47,6 +48,15 @@ def _linear(A, B, gamma, K=1, R=1, stiff=1):
     return Design(system, {f"x_{k}": 0 for k in range(len(A))}, law, sample_period="1e-3")
 
 
+def carts(R_psi="0.5", alpha_psi=1, beta_psi="0.3", springs=(3, 3, 1), friction=1):
+    """Two carts between springs; an integral term pulls at the first."""
+    q, p = ([ca.SX.sym(f"{letter}{k}") for k in (1, 2)] for letter in "qp")
+    V = (springs[0] * q[0] ** 2 + springs[1] * (q[1] - q[0]) ** 2 + springs[2] * q[1] ** 2) / 2
+    system = Mechanical(q, p, M=[1, 2], V=V, D=[friction, friction], G=[[1], [0]])
+    law = Integral(DynamicExtension(3, 2, 20, "0.5"), alpha_psi=alpha_psi, beta_psi=beta_psi, R_psi=R_psi)
+    return Design(system, {"q2": "0.5"}, law, sample_period="1e-3")
+
+
 def _global(design):
     derivation = derive(design)
     return derivation, next(c for c in derivation.claims if c.claim == "globally-asymptotically-stable")
@@ -57,6 +67,8 @@ PROVED = {
     "turns that balance in another energy": spacecraft(turns=(1.5, 1, 1)),
     "spacecraft, unequal gains": spacecraft(law=DynamicExtension([1, 2, 3], [5, "0.1", 1], [1, 10, 1], [2, 1, "0.1"])),
     "motor": motor(),
+    "an integral term": carts(),
+    "an integral term that leaks little": carts(R_psi="0.1", alpha_psi="0.4"),
     "more than passive": _linear([[-1, 3], [-1, -1]], [1, 0], [1, 1]),
 }
 
@@ -67,25 +79,37 @@ def test_it_is_proved_and_the_function_decreases_along_the_loop(name):
     derivation, claim = _global(design)
     assert (claim.status, claim.method) == (Status.PROVED, METHOD)
     law = derivation.law
-    loop = _Loop.of(derivation.situation, law)
-    P, weights, _ = (np.array([[float(v) for v in r] if isinstance(r, list) else float(r) for r in part])
-                     for part in loop.storage())  # fmt: skip
+    base = base_law(law)
+    found = _Loop.of(derivation.situation, base, law).storage()
+    P = np.array([[float(v) for v in row] for row in found.P])
+    weights, filters = (np.array([float(v) for v in part]) for part in (found.popov, found.integral))
     system, rng = derivation.plant.system, np.random.default_rng(1)
     star, u_star = (np.array([float(v) for v in part]) for part in (derivation.point.x, derivation.point.u))
     rate = derivation.plant.numeric(system.xdot)
     gamma = derivation.plant.numeric(derivation.gamma)
-    alpha, beta = (np.array([float(v) for v in part]) for part in (law.alpha, law.beta))
-    K, R = (np.array([[float(v) for v in row] for row in part]) for part in (law.K_c, law.R_c))
+    alpha, beta = (np.array([float(v) for v in part]) for part in (base.alpha, base.beta))
+    K, R = (np.array([[float(v) for v in row] for row in part]) for part in (base.K_c, base.R_c))
     at_star = np.array(gamma(star, u_star)).ravel()
     for scale in (1e-3, 0.1, 1.0, 30.0, 1e3):
         for _ in range(40):
             x, x_c = star + scale * rng.normal(size=system.n), scale * rng.normal(size=system.m)
             phi = alpha * np.tanh(beta * (np.array(gamma(x, u_star)).ravel() - at_star + x_c))
-            xdot = np.array(rate(x, u_star - phi)).ravel()
+            theta, stored = _integral(law, np.array(gamma(x, u_star)).ravel() - at_star, scale, rng)
+            xdot = np.array(rate(x, u_star - phi - theta)).ravel()
             c_dot = -R @ (phi + K @ x_c)
             z_dot = np.array(gamma(xdot + star, u_star)).ravel() - at_star + c_dot  # gamma is affine
             zeta, slope = np.concatenate([x - star, x_c]), np.concatenate([xdot, c_dot])
-            assert zeta @ P @ slope + weights @ (phi * z_dot) < 0
+            assert zeta @ P @ slope + weights @ (phi * z_dot) + filters @ stored < 0
+
+
+def _integral(law, away, scale, rng):
+    """What an integral term adds to the force at some psi, and the rate of ``(cosh(beta psi) - 1) / beta^2``."""
+    if not isinstance(law, Integral):
+        return 0.0, np.zeros(0)
+    a, b = (np.array([float(v) for v in part]) for part in (law.alpha_psi, law.beta_psi))
+    psi = rng.normal(size=len(a)) * min(scale, 10) / b
+    psi_dot = -np.array([[float(v) for v in row] for row in law.R_psi]) @ psi + a * b * away / np.cosh(b * psi)
+    return a * np.tanh(b * psi), np.sinh(b * psi) / b * psi_dot
 
 
 def _given(k):
@@ -101,6 +125,10 @@ REFUSED = {
     "a motor that runs away": motor(coupling=-1.5),
     "a motor that is driven": motor(b="-1e-3"),
     "a coil that is driven": motor(R="-1e-3"),
+    "a filter without leak": carts(R_psi=0),
+    "an integral term that drives": carts(R_psi="0.1", alpha_psi=9, beta_psi=1),
+    "an integral term without springs": carts(springs=(0, 3, 0)),
+    "an integral term and no friction": carts(friction=0),
     "an integrator": _linear([[0, 1], [0, -1]], [0, 1], [1, 0]),
     "an oscillator without friction": _linear([[0, 1], [-1, 0]], [0, 1], [1, 0]),
     "an unstable plant": _linear([[0.5, 1], [-1, -0.4]], [1, 0], [1, 0], stiff=5, K=20),
@@ -117,7 +145,7 @@ def test_what_may_not_be_global_is_refused(name):
     derivation, claim = _global(REFUSED[name])
     assert claim.method != METHOD
     situation = derivation.situation
-    loop = None if situation is None else _Loop.of(situation, derivation.law)
+    loop = None if situation is None else _Loop.of(situation, base_law(derivation.law), derivation.law)
     assert loop is None or loop.storage() is None
 
 
