@@ -36,6 +36,9 @@ Interval = tuple[Fraction | None, Fraction | None]
 #: What a user may write for an interval.
 IntervalLike = tuple[Number | None, Number | None] | Sequence[Number | None]
 
+#: What messages call the functions of a system.
+_DRIFT, _INPUT_MATRIX, _STORAGE = "the drift f", "the input matrix g", "the storage S"
+
 #: What a user may write for the measured signals: state names, and named expressions.
 MeasuredLike = str | Mapping[str, Any] | Sequence[str | Mapping[str, Any]]
 
@@ -187,31 +190,27 @@ class AffineSystem:
         """
         x, u, parameters = _variables(x, u, parameters)
         n, m = x.numel(), u.numel()
-        drift = shaped(f, (n, 1), "the drift f")
-        matrix = shaped(g, (n, m), "the input matrix g")
-        storage = shaped(S, (1, 1), "the storage S")
-        known_gamma = None if gamma is None else shaped(gamma, (m, 1), "gamma")
-        known_eta = None if eta is None else column(eta, "eta")
         signals = _measured(measured, x)
-        functions = {"the drift f": drift, "the input matrix g": matrix, "the storage S": storage}
-        functions |= {_signal_name(key): value for key, value in signals.items()}
-        functions |= {"gamma": known_gamma} if known_gamma is not None else {}
-        functions |= {"eta": known_eta} if known_eta is not None else {}
+        functions = {
+            _DRIFT: shaped(f, (n, 1), _DRIFT),
+            _INPUT_MATRIX: shaped(g, (n, m), _INPUT_MATRIX),
+            _STORAGE: shaped(S, (1, 1), _STORAGE),
+            **{_signal_name(key): value for key, value in signals.items()},
+        }
+        if gamma is not None:
+            functions["gamma"] = shaped(gamma, (m, 1), "gamma")
+        if eta is not None:
+            functions["eta"] = column(eta, "eta")
         for what, value in functions.items():
             check_symbols(value, (x, parameters.symbols), what, u, "the input")
             check_finite(value, what)
-        extra = [key for key in signals if key not in names(x)]
-        taken = [*names(x), *names(u), *extra]
+        taken = [*names(x), *names(u), *(key for key in signals if key not in names(x))]
         unique([*taken, *parameters.names])
         own = [*functions][0 if structure is None else 3 :]  # a front end has named the numbers of f, g and S
-        declared = parameters
-        named, parameters = named_numbers([functions[what] for what in own], "c", parameters, taken)
-        added = [value for name, value in parameters.values.items() if name not in declared]
+        named, every = named_numbers([functions[what] for what in own], "c", parameters, taken)
+        added = [value for key, value in every.values.items() if key not in parameters]
         functions |= zip(own, named, strict=True)
-        drift, matrix, storage = [*functions.values()][:3]
-        known_gamma, known_eta = functions.get("gamma"), functions.get("eta")
-        signals = {key: functions[_signal_name(key)] for key in signals}
-        if not depends(storage, x):
+        if not depends(functions[_STORAGE], x):
             raise ModelError(
                 "the storage S does not depend on the state: give the energy, or another function that does not grow "
                 "by itself"
@@ -219,14 +218,14 @@ class AffineSystem:
         fields = {
             "x": x,
             "u": u,
-            "f": drift,
-            "g": matrix,
-            "S": storage,
-            "parameters": parameters,
+            "f": functions[_DRIFT],
+            "g": functions[_INPUT_MATRIX],
+            "S": functions[_STORAGE],
+            "parameters": every,
             "domain": MappingProxyType(_domain(by_name(domain, "domain"), names(x))),
-            "gamma": known_gamma,
-            "eta": known_eta,
-            "measured": MappingProxyType(signals),
+            "gamma": functions.get("gamma"),
+            "eta": functions.get("eta"),
+            "measured": MappingProxyType({key: functions[_signal_name(key)] for key in signals}),
             "units": MappingProxyType(_units(by_name(units, "units"), taken)),
             "name": name,
             "structure": structure,
