@@ -136,14 +136,9 @@ def simulate_continuous(loop: ClosedLoop, times: ArrayLike, tolerance: Tolerance
     grid = np.atleast_1d(np.asarray(times, dtype=float))
     if grid.ndim != 1 or grid.size == 0 or not np.all(np.isfinite(grid)) or grid[0] < 0 or np.any(np.diff(grid) <= 0):
         raise SimulationError("the times of a simulation must be finite, increasing and not negative")
-    nx, nxi = len(loop.initial), len(loop.controller_states)
-    scales = _scales(loop, float(grid[-1]))
-    z = ca.SX.sym("z", nx + nxi)
-    x, xi = ca.vertsplit(z, [0, nx, nx + nxi])
-    rate, u = loop.controller(x, xi)
-    start = np.concatenate([loop.initial, np.zeros(nxi)])
-    field = ca.vertcat(loop.plant(x, u), rate)
-    states = _Flow(z, ca.SX(0, 1), field, scales=scales, grid=grid, tolerance=tolerance or Tolerance()).follow(start)
+    nx = len(loop.initial)
+    flow = _continuous_flow(loop, _scales(loop, float(grid[-1])), grid, tolerance or Tolerance())
+    states = flow.follow(_start(loop))
     outputs = loop.controller.map(len(grid))(states[:nx], states[nx:])[1]
     return _trajectory(loop, grid, states[:nx].T, states[nx:].T, np.array(outputs).T)
 
@@ -183,27 +178,8 @@ def simulate_sampled(
         raise SimulationError(f"the sample period is {float(period):g} s: it must be positive")
     count = math.floor(Fraction(duration) / period + Fraction(1, 10**9))
     nx, nu = len(loop.initial), len(loop.u_star)
-    z, u = ca.SX.sym("x", nx), ca.SX.sym("u", nu)
     scales = _scales(loop, count * float(period))[:nx]
-    whole, part = divmod(delay, 1)
-    # The output of `whole + 1` steps ago acts until the later one takes over.
-    shares = [(int(whole) + 1, part), (int(whole), 1 - part)]
-    holds = [
-        (
-            ago,
-            float(share * period),
-            _Flow(
-                z,
-                u,
-                loop.plant(z, u),
-                scales=scales,
-                grid=np.array([float(share * period)]),
-                tolerance=tolerance or Tolerance(),
-            ),
-        )
-        for ago, share in shares
-        if share
-    ]
+    holds = _held_flows(loop, period, delay, scales, tolerance or Tolerance())
     controller.reset()
     xs = np.zeros((count + 1, nx))
     us = np.zeros((count + 1, nu))
@@ -251,6 +227,39 @@ class _Flow:
         return states * self._scales[:, None]
 
 
+def _start(loop: ClosedLoop) -> Array:
+    """(x, xi) at the beginning of a run."""
+    return np.concatenate([loop.initial, np.zeros(len(loop.controller_states))])
+
+
+def _continuous_flow(loop: ClosedLoop, scales: Array, grid: Array, tolerance: Tolerance) -> _Flow:
+    """The closed loop with the law in continuous time, in (x, xi)."""
+    nx, nz = len(loop.initial), len(scales)
+    z = ca.SX.sym("z", nz)
+    x, xi = ca.vertsplit(z, [0, nx, nz])
+    rate, u = loop.controller(x, xi)
+    return _Flow(z, ca.SX(0, 1), ca.vertcat(loop.plant(x, u), rate), scales=scales, grid=grid, tolerance=tolerance)
+
+
+def _held_flows(
+    loop: ClosedLoop, period: Fraction, delay: Fraction, scales: Array, tolerance: Tolerance
+) -> list[tuple[int, float, _Flow]]:
+    """The parts of a sample period: how many steps ago the output was made that acts in it, its length, the plant."""
+    x, u = ca.SX.sym("x", len(loop.initial)), ca.SX.sym("u", len(loop.u_star))
+    whole, part = divmod(delay, 1)
+    # The output of `whole + 1` steps ago acts until the later one takes over.
+    shares = [(int(whole) + 1, part * period), (int(whole), (1 - part) * period)]
+    return [
+        (
+            ago,
+            float(length),
+            _Flow(x, u, loop.plant(x, u), scales=scales, grid=np.array([float(length)]), tolerance=tolerance),
+        )
+        for ago, length in shares
+        if length
+    ]
+
+
 def _failure(log: str, start: float) -> str:
     """What CVODES and CasADi wrote, in one sentence with the time that was reached."""
     times = re.findall(r"At t = ([-+0-9.eE]+[0-9])", log)
@@ -270,18 +279,11 @@ def _failure(log: str, start: float) -> str:
 
 def _scales(loop: ClosedLoop, duration: float) -> Array:
     """For each state of the closed loop (x, xi) a power of two near the largest value in a rough continuous run."""
-    nx, nxi = len(loop.initial), len(loop.controller_states)
-    z = ca.SX.sym("z", nx + nxi)
-    x, xi = ca.vertsplit(z, [0, nx, nx + nxi])
-    rate, u = loop.controller(x, xi)
-    start = np.concatenate([loop.initial, np.zeros(nxi)])
-    largest = np.maximum(np.abs(start), np.abs(np.concatenate([loop.x_star, np.zeros(nxi)])))
+    start = _start(loop)
+    largest = np.maximum(np.abs(start), np.abs(np.concatenate([loop.x_star, np.zeros(len(loop.controller_states))])))
     if duration > 0:
         grid = np.linspace(0.0, duration, 201)[1:]
-        ones = np.ones(nx + nxi)
-        pilot = _Flow(
-            z, ca.SX(0, 1), ca.vertcat(loop.plant(x, u), rate), scales=ones, grid=grid, tolerance=Tolerance(1e-6, 1e-15)
-        )
+        pilot = _continuous_flow(loop, np.ones(len(start)), grid, Tolerance(1e-6, 1e-15))
         largest = np.maximum(largest, np.abs(pilot.follow(start)).max(axis=1))
     return np.exp2(np.round(np.log2(np.where(largest > 1e-100, largest, 1.0))))
 
