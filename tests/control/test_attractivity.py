@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import casadi as ca
 import pytest
 
@@ -19,6 +21,8 @@ from pbcgen import (
     check,
     load,
 )
+from pbcgen.control.only_rest import _increase_together
+from pbcgen.passivity.plant import Plant
 
 LAW = DynamicExtension(2, 3, 5, 1)
 
@@ -315,6 +319,26 @@ def test_a_convex_storage_with_a_gamma_that_bends_has_other_rests():
     G = ca.vertcat(1, 3 * ca.cos(q[1]))
     system = Mechanical(q, p, M=ca.SX.eye(2), V=ca.sumsqr(q) / 20, D=[1, 1], G=G)
     assert _statuses(system, {"q_0": 0, "q_1": 0}, DynamicExtension(3, 3, 5, 1)) == ("PROVED", "PROVED", "REFUTED")
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "together"),
+    [
+        (lambda z: z, lambda z: z**3, True),
+        (lambda z: z + z**3, ca.sinh, True),
+        (lambda z: -z, lambda z: -ca.tanh(z), True),
+        (lambda z: z - z**3, lambda z: 3 * z - 3 * z**3 + 1, True),  # the same function
+        (lambda z: z, lambda z: -z, False),
+        (lambda z: z, lambda z: z**2, False),
+        # slopes (1 - z^2) and (1 - z^2) (z + 3)^2: of one sign at each z, and not between two of them
+        (lambda z: z - z**3 / 3, lambda z: 9 * z + 3 * z**2 - 8 * z**3 / 3 - 1.5 * z**4 - z**5 / 5, False),
+    ],
+)
+def test_two_functions_increase_together_only_if_they_do_between_all_points(inputs, outputs, together):
+    z, v, u = _symbols("z", "v", "u")
+    plant = Plant(AffineSystem([z, v], [u], [v, -z - v], [0, 1], (z**2 + v**2) / 2))
+    along = SimpleNamespace(z=[z], inputs=inputs(z), outputs=outputs(z), zero=ca.SX(0, 1))
+    assert _increase_together(SimpleNamespace(plant=plant), along) is together
 
 
 @pytest.mark.parametrize(("a", "b", "quartic"), [(0.5, 0.5, 1), (0.5, 0.25, 0)])

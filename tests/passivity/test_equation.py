@@ -6,7 +6,17 @@ import casadi as ca
 import pytest
 from flint import fmpq
 
-from pbcgen.passivity.equation import affine, essential, is_combination, linear_in, never_zero, parts
+from pbcgen import AffineSystem
+from pbcgen.passivity.equation import (
+    affine,
+    certainly_varies,
+    essential,
+    is_combination,
+    linear_in,
+    never_zero,
+    parts,
+)
+from pbcgen.passivity.plant import Plant
 from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT
@@ -103,3 +113,13 @@ def test_a_combination_has_numbers_for_weights() -> None:
     assert is_combination(sum_, [first, second])
     assert not is_combination(multiple, [first, second])
     assert not is_combination(other, [first, second])
+
+
+def test_what_is_zero_in_disguise_does_not_vary() -> None:
+    plant = Plant(AffineSystem([x, y], [k], [y, -x - y], [0, 1], (x**2 + y**2) / 2))
+    symbols = ca.vertcat(x, y)
+    assert certainly_varies(plant, x - y**2, symbols)
+    assert certainly_varies(plant, ca.sin(x) - ca.sin(x) * (1 + 1e-12), symbols)
+    assert not certainly_varies(plant, ca.sin(x) ** 2 + ca.cos(x) ** 2 - 1, symbols)
+    assert not certainly_varies(plant, ca.log(ca.exp(x)) - x, symbols)
+    assert not certainly_varies(plant, ca.SX(0), symbols)

@@ -106,6 +106,7 @@ FAIL = {
     "sines of increasing angles": (ca.sin(A) - ca.sin(B)) * (A - B),
     "squares of tanh": (ca.tanh(A) ** 2 - ca.tanh(B) ** 2) * (A - B),
     "tanh with exchanged arguments": (ca.tanh(A) - ca.tanh(B)) * (B - A),
+    "unlike functions that increase": (ca.tanh(A) - ca.atan(B)) * (A - B),
     "tanh of unlike arguments": (ca.tanh(A) - ca.tanh(2 * B)) * (A - B),
     "exponentials of unlike arguments": (ca.exp(A) - ca.exp(2 * B)) * (A - B),
     "a dominant row and no dominant column": 2 * ca.tanh(A) * A + 3 * ca.tanh(B) * A + 3 * ca.tanh(B) * B,
