@@ -99,9 +99,15 @@ class _Work:
         """`equilibrium` REFUTED: what the equations give one after the other."""
         if claim.status is not Status.REFUTED:
             return None
-        symbols = range(len(self.system.field.symbols))
-        chain = Elimination(self.system.field, [self.system.field.lift(0)] * len(symbols), self.system.equations({}))
-        return {"steps": eliminate(chain, self.terms, symbols)}
+        system, terms = self.system, self.terms
+        symbols = range(len(system.field.symbols))
+        chain = Elimination(system.field, [system.field.lift(0)] * len(symbols), system.equations({}))
+        steps = eliminate(chain, terms, symbols, accept=lambda value: value.number() is not None)
+        left = [chain.reduced(e) for e in chain.equations]
+        weights = combined(system.field.lift(1), left)
+        if weights is not None and not any(system.field.everywhere(e.top) for e in left):
+            return {"steps": [*steps, [None, {str(k): terms.put(f"constant {c}") for k, c in weights.items()}]]}
+        return {"steps": steps + eliminate(chain, terms, symbols)}
 
     def undamped_output(self, claim: Claim) -> Witness:
         """`assumption-3` REFUTED: a set on which nothing is lost, and a place where the output is not zero."""

@@ -187,7 +187,7 @@ class Assumptions(Alone):
         self.zero([chain.reduced(self.power_at(self.constants))], "something is lost on the set")
         place = [put_in(self.field, chain.reduced(v), z) for v in self.field.symbols]
         require(self.inside(dict(zip(self.states, place, strict=False))), "the set leaves the domain")
-        one_u = [1, *place[self.n :]]
+        one_u = [1, *place[self.n : self.n + self.m]]
         rates = [row for name in ("gamma", "eta") if name in self.exact for row in self.rate(name)]
         moving = [dot([put_in(self.field, v, place) for v in row], one_u) for row in rates]
         return require({1, -1} & {sign(v) for v in moving}, "what shall be damped may be at rest")
@@ -257,6 +257,10 @@ class Assumptions(Alone):
     def proved_saturation(self) -> None:
         """Every input stays within its limits: what compensates a force by bounds of its terms, or on a period."""
         trees = self.witness["saturation"].get("trees", {})
+        limited = {(k, sign(a)) for row, _ in self.model.limits for k, a in enumerate(row) if row.count(0) == self.m - 1}
+        for k, v in enumerate(self.force if self.compensated else []):
+            if not self.field.bounded(v) and not {(k, 1), (k, -1)} <= limited:
+                raise NotCheckable("an input has no limits, and grad V is not bounded by its terms")
         for k, room in enumerate(self.rooms):
             if str(k) in trees:
                 require(shown(trees[str(k)], *self.on_period(room), {}), "the boxes do not show that an input fits")

@@ -8,6 +8,7 @@ from typing import Any
 
 from flint import ctx
 
+from pbcgen.reading.growth import GLOBAL
 from pbcgen.reading.system import Fails, require
 from pbcgen.symbolic.plain.formulas import Malformed
 from pbcgen.symbolic.plain.values import Grow, NotCheckable
@@ -17,8 +18,9 @@ from pbcgen.verify.stability import Stability
 #: stable without one, none are needed.
 BITS, BITS_PER_STATE, LARGEST_ROUTH = 333, 48, 20
 
-#: Claims about the loop with sample periods.
+#: Claims about the loop, and those about sample periods.
 _SAMPLED = ("sampled-stable", "adjustable")
+_LOOP = ("stable", "asymptotically-stable", GLOBAL, *_SAMPLED)
 
 _MISFITS = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError)
 
@@ -68,6 +70,8 @@ def find(system: Stability, claim: str, status: str) -> Finding:
         require(system.reaches(claim), "the claim is not made for this domain")
         if status == "PROVED" and claim in _SAMPLED and system.jitter and not system.any_sequence(claim):
             raise NotCheckable("periods that vary")
+        if claim in _LOOP:
+            system.closes()
         system.once(check)
     except NotCheckable as reason:
         return Finding(claim, status, "recorded", str(reason))

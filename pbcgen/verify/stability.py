@@ -23,6 +23,14 @@ from pbcgen.verify.assumptions import Assumptions
 class Stability(Assumptions):
     """By linearisation, by the Lyapunov function with LaSalle's argument, and for the sampled loop."""
 
+    def closes(self) -> None:
+        """The law `passive-output` reads ``y = gamma'``, where the input may enter: then ``sym(grad gamma g) >= 0``.
+
+        That makes u unique, and its equation one that has a solution; it is part of what passive-output says.
+        """
+        if "passive-output" in self.law and any(v.top for row in self.rate("gamma") for v in row[1:]):
+            self.once(self.proved_passive_output)
+
     def lyapunov(self, least: bool = True) -> None:
         """The Lyapunov function of Prop. pro1, pro2 or pro4: it does not grow, and has a minimum at x*."""
         require("integral" not in self.law, "the law has no Lyapunov function")
