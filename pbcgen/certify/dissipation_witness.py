@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from fractions import Fraction
 from typing import Any
 
 import casadi as ca
-from flint import fmpq, fmpq_mpoly
+from flint import fmpq
 
+from pbcgen.certify.leaves import Boxes, by_sign
 from pbcgen.certify.writing import Writing
 from pbcgen.control.derive import Derivation
 from pbcgen.models.laws import NaturalDamping, base_law
@@ -17,22 +17,18 @@ from pbcgen.passivity.plant import Plant, columns, dot
 from pbcgen.passivity.region import Region
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.passivity.theta import SPARE, filter_gain, needed_damping, required
-from pbcgen.proof.branch import Formula, formula_of, zero_set
+from pbcgen.proof.branch import Formula
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import positive_semidefinite
 from pbcgen.proof.sos import find as find_squares
-from pbcgen.proof.squares import Factor, Leaf, Square, decompose, decompose_matrix, of_programme
-from pbcgen.proof.tree import tree
-from pbcgen.symbolic.field import Field, Quotient
-from pbcgen.symbolic.plain.formulas import Formulas
+from pbcgen.proof.squares import Leaf, Square, decompose, decompose_matrix, of_programme
+from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import Real, midpoint, rational
 from pbcgen.symbolic.real_matrices import RealMatrix, congruence, dense, diagonal, inverse, transpose
 from pbcgen.symbolic.tape import Tape
 
-#: A letter each.
-_MOST_COORDINATES = 26
-#: Boxes for each of the functions that a decomposition leaves, and for the formula of the model itself.
-_FEW, _MANY = 400, 4000
+#: Boxes for the formula of the model itself.
+_MANY = 4000
 
 _Rows = list[list[Quotient]]
 Witness = dict[str, Any] | None
@@ -57,7 +53,7 @@ def _decomposed(derivation: Derivation, inputs: bool, domain: str, terms: Writin
     gamma = derivation.gamma if inputs and derivation.gamma is not None else ca.SX(0, 1)
     region = Region.stated(plant)
     boxes = Boxes(plant, region) if domain == region.text and not region.is_whole else None
-    leaves: list[Leaf | None] = [None] if boxes is None else [None, boxes]
+    leaves: list[Leaf] = [by_sign] if boxes is None else [by_sign, boxes]
     for leaf in leaves:
         if structure is not None:
             lift = _Lift.of(plant, structure, gamma)
@@ -163,7 +159,7 @@ class _Lift:
 
     def apply(self, squares: Sequence[Square]) -> list[Square] | None:
         """The squares as forms in (1, u), with the power of the friction; None if that is not a sum of squares."""
-        friction = decompose(self.friction)
+        friction = decompose(self.friction, by_sign)
         if friction is None:
             return None
         lifted = [
@@ -174,43 +170,6 @@ class _Lift:
         ]
         unit = [self.zero.field.const(1), *[self.zero] * len(self.others)]
         return lifted + [square.times(unit) for square in friction]
-
-
-class Boxes:
-    """Shows by a tree of boxes that a polynomial is nonnegative on the box that the system states (a ``Leaf``)."""
-
-    def __init__(self, plant: Plant, region: Region) -> None:
-        self.bounds, self.states, self.names = region.bounds, plant.system.n, plant.system.state_names
-
-    def __call__(self, field: Field, polynomial: fmpq_mpoly) -> list[Square] | None:
-        """The polynomial as one factor, or None."""
-        value = field.polynomial(polynomial)
-        used = sorted(value.symbols())
-        if not used or max(used) >= self.states:
-            return None
-        writing = Writing()
-        place = writing.quotient(value)
-        found = self.factor(writing, place, used, formula_of(field, polynomial, used), value, _FEW)
-        return None if found is None else [Square(fmpq(1), (found,), (field.const(1),))]
-
-    def factor(
-        self, writing: Writing, place: int, used: list[int], formula: Formula, term: Quotient | int, boxes: int
-    ) -> Factor | None:
-        """The factor for a written term in the states that are used, which is the formula; None without a tree."""
-        box = [(lo, hi) for k in used for lo, hi in [self.bounds[k]] if lo is not None and hi is not None]
-        if len(box) < len(used) or len(used) > _MOST_COORDINATES:
-            return None
-        part = Formulas.parse(writing.lines())
-
-        def function(x: Sequence[Any]) -> Any:
-            return part.walk(lambda v: v, {"state": dict(zip(used, x, strict=True))}, None, [place])[place]
-
-        names = [self.names[k] for k in used]
-        zeros = zero_set(formula, names, [Fraction(0)] * len(used)) or {}
-        found = tree(function, box, zeros, boxes)
-        if found is None:
-            return None
-        return Factor("box", term, None, (found, used, {str(k): str(v) for k, v in zeros.items()}))
 
 
 def natural_damping(derivation: Derivation, terms: Writing) -> Witness:
@@ -302,8 +261,8 @@ def _beyond(derivation: Derivation, eta: ca.SX | None, Lambda: RealMatrix) -> li
     def number(value: Real) -> Quotient:
         return field.const(midpoint(value))
 
-    squares = decompose_matrix([[number(v) for v in row] for row in constant])
-    excess = decompose_matrix([[lift.dissipation[i][j] - number(least[i][j]) for j in size] for i in size])
+    squares = decompose_matrix([[number(v) for v in row] for row in constant], by_sign)
+    excess = decompose_matrix([[lift.dissipation[i][j] - number(least[i][j]) for j in size] for i in size], by_sign)
     return None if squares is None or excess is None else lift.apply([*squares, *excess])
 
 
@@ -325,7 +284,7 @@ def _beyond_varying(derivation: Derivation, eta: ca.SX, Lambda: RealMatrix) -> l
                 scaled = [field.const(midpoint(weight)) * v for v in a]
                 left = [[v - p * q for v, q in zip(line, b, strict=True)] for line, p in zip(left, scaled, strict=True)]
     region = Region.stated(plant)
-    leaf = Boxes(plant, region) if bounds.claim.domain == region.text and not region.is_whole else None
+    leaf = Boxes(plant, region) if bounds.claim.domain == region.text and not region.is_whole else by_sign
     squares = decompose_matrix(left, leaf) if lift.matched else None
     return None if squares is None else lift.apply(squares)
 

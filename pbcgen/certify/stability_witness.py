@@ -138,7 +138,7 @@ class _Work:
         if claim.status is Status.REFUTED:
             return {"q": list((claim.counterexample or {})["x"].values())}
         for k, room in enumerate(system.rooms):
-            least, size = system.field.bound(room, {}) if system.field.bounded(room) else (fmpq(0), fmpq(1))
+            least, size = system.field.bound(room, {})
             if least < size:
                 box, function = system.on_period(room)
                 trees[str(k)] = tree(function, [(fraction(lo), fraction(hi)) for lo, hi in box], {}, _MOST_BOXES)

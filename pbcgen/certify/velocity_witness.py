@@ -37,7 +37,7 @@ def coordinates(derivation: Derivation, document: Mapping[str, Any]) -> dict[str
         found = {"inertia": rows, "whole_angles": whole}
         try:
             system = Stability({**document, **found}, 64)
-            if system.solved is not None and system.power:
+            if system.in_velocities and system.power:
                 return found
         except (Fails, NotCheckable, Grow, LookupError, ArithmeticError):
             continue

@@ -45,8 +45,8 @@ def named_numbers(
 ) -> tuple[list[ca.SX], Parameters]:
     """Expressions with their numbers as parameters, unless products of them are exact in doubles.
 
-    Integers and binary fractions of moderate length stay numbers, and exponents do. A number and its negative share a
-    parameter, in all of the expressions.
+    Integers and binary fractions of moderate length stay numbers. A number and its negative share a parameter, in all
+    of the expressions; so does an exponent, from which a derivative takes one.
 
     Args:
         values: the expressions.
@@ -75,11 +75,9 @@ def named_numbers(
         elif len(operands) == 1:
             work[place] = ca.SX.unary(operation, numbers.operand(operands[0]))
         else:
-            is_exponent = operation in (ca.OP_POW, ca.OP_CONSTPOW) and isinstance(operands[1], float)
+            operation = ca.OP_POW if operation == ca.OP_CONSTPOW else operation
             below = operation == ca.OP_DIV and isinstance(operands[0], ca.SX)
-            # An exponent is no factor of a product: it stays a number.
-            second = ca.SX(operands[1]) if is_exponent else numbers.operand(operands[1], below)
-            work[place] = ca.SX.binary(operation, numbers.operand(operands[0]), second)
+            work[place] = ca.SX.binary(operation, numbers.operand(operands[0]), numbers.operand(operands[1], below))
     return (results, numbers.parameters) if numbers.changed else (list(values), parameters)
 
 

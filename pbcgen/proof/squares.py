@@ -37,9 +37,10 @@ _MOST_TERMS = 300
 class Factor:
     """A nonnegative function.
 
-    ``(T(a) - T(b)) (a - b)`` with T increasing; for b = None: T(a) itself, ``1 - T(a)^2`` for a bounded T, how far the
-    symbol a is ``above`` or ``below`` its bound, or (kind ``box``) what the tree of boxes shows of a, which may be the
-    place of a term that is written already.
+    ``(T(a) - T(b)) (a - b)`` with T increasing, or ``|a| + a`` for the modulus and b = 0. For b = None: T(a) itself,
+    ``1 - T(a)^2`` for a bounded T, how far the symbol a is ``above`` or ``below`` its bound, a itself that is
+    ``positive`` by the signs of its terms, or (kind ``box``) what the tree of boxes shows of a, which may be the place
+    of a term that is written already.
     """
 
     kind: str
@@ -146,9 +147,12 @@ def _by_pairs(field: Field, polynomial: fmpq_mpoly, known: Known, depth: int) ->
 
 
 def _increasing(field: Field) -> Iterator[tuple[Factor, fmpq_mpoly]]:
-    """``(T(a) - T(b)) (a - b)`` for the atoms T(a), T(b) of the field, and b = 0 for odd functions and exp."""
+    """``(T(a) - T(b)) (a - b)`` for the atoms T(a), T(b) of the field, b = 0 for odd functions and exp; ``|a| + a``."""
     atoms = [(k, a) for k, a in sorted(field.atoms.items()) if a.kind in INCREASING and a.argument.is_polynomial()]
     generators = field.context.gens()
+    for k in sorted(field.moduli):
+        for argument in (field.atoms[k].argument, -field.atoms[k].argument):
+            yield Factor("fabs", argument, field.const(0)), generators[k] + argument.numerator
     for k, atom in atoms:
         if atom.kind in AT_ZERO:
             difference = generators[k] - AT_ZERO[atom.kind]

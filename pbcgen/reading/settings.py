@@ -72,7 +72,7 @@ class Family(Sums):
         field = Field(count + self.unknowns, self.field.pool, self.field.units)
         values, z = field.symbols[:count], field.symbols[count:]
         momenta = self._rest(values, z, field.lift)[self.half : self.n]
-        standing = bool(self.inertia and self.solved is not None) and not any(field.lift(p).top for p in momenta)
+        standing = self.in_velocities and not any(field.lift(p).top for p in momenta)
         return [k for k, v in enumerate(self._left(values, z, field.lift, standing)) if field.lift(v).top]
 
     def rests(self) -> bool:

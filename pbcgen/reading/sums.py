@@ -50,9 +50,9 @@ class Sums(System):
         for _, factors, places in self.witness["passive-output"]["squares"]:
             row = dot(self.vector(places), one_u)
             for kind, a, b, alone in factors:
-                if kind in INCREASING and not alone:
+                if kind in (("fabs",) if alone else INCREASING):
                     row = row * (self.placed[a] - (0 if b is None else self.placed[b]))
-                elif kind != "exp":
+                elif kind not in ("exp", "positive"):
                     row = row * self._factor("passive-output", kind, a, b, alone)
             found.append(row)
         return found
@@ -91,7 +91,8 @@ class Sums(System):
     def _factor(self, claim: str, kind: str, a: int, b: Any, alone: bool) -> Any:
         """A function without negative values.
 
-        ``(T(a) - T(b)) (a - b)`` with T increasing (b = None: zero). Alone: T(a), or ``1 - T(a)^2`` for a bounded T.
+        ``(T(a) - T(b)) (a - b)`` with T increasing (b = None: zero). Alone: T(a), or ``1 - T(a)^2`` for a bounded T. Or
+        what its terms show to be positive.
         Where the claim is made on the model's domain: how far state a is above or below its bound, and what a tree b
         of boxes shows.
         """
@@ -102,6 +103,9 @@ class Sums(System):
             bound = self.model.domain[self.states[a]][kind == "below"]
             require(bound is not None and a >= 0, "there is no such bound")
             return (self.field.symbols[a] - bound) * (1 if kind == "above" else -1)
+        if kind == "positive":
+            require(self.field.positive(self.placed[a]), "a factor may not be positive")
+            return self.placed[a]
         found = never_negative(kind, self.placed[a], self.field.lift(0) if b is None else self.placed[b], alone)
         require(found is not None and (b is not None or kind in AT_ZERO), "a factor has no sign")
         return found

@@ -58,20 +58,22 @@ class System:
 
     @cached_property
     def velocities(self) -> list[int]:
-        """The instructions that are M^-1 p, for systems that are read in (q, v); then ``is_solved``."""
+        """The instructions that are M^-1 p, for systems that are read in (q, v)."""
         entries = self.model.formulas.outputs["f"][2]
         return [entries[k, 0] for k in range(len(self.inertia))]
 
     @cached_property
-    def solved(self) -> bool:
-        """Whether these instructions are defined wherever M > 0."""
-        found = solves(self.model.formulas, self.inertia, self.velocities)
+    def in_velocities(self) -> bool:
+        """Whether it is read in (q, v); these instructions are then defined wherever M > 0."""
+        if not self.inertia:
+            return False
         M = self.mass(self.field.symbols, self.field.lift)
         pairs = [(a, b) for row, column in zip(M, transpose(M), strict=True) for a, b in zip(row, column, strict=True)]
         self.zero([self.field.lift(a) - b for a, b in pairs], "M is not symmetric")
-        require(found is not None and 2 * len(self.inertia) == self.n, "the velocities are not M^-1 p")
+        found = solves(self.model.formulas, self.inertia, self.velocities)
+        require(found and 2 * len(self.inertia) == self.n, "the velocities are not M^-1 p")
         require(not {*self.states[self.half :]} & {*self.model.domain}, "the momenta are restricted")
-        return bool(found)
+        return True
 
     def in_states(self) -> None:
         """Raise NotCheckable for what is not said of systems in (q, v)."""
@@ -92,8 +94,7 @@ class System:
 
     def moving(self, z: Sequence[Any], lift: Lift, aim: bool = True) -> dict[str, Matrix]:
         """All named matrices in these coordinates."""
-        shown = self.inertia and self.solved is not None
-        known = dict(zip(self.velocities, z[self.half :], strict=True)) if shown else {}
+        known = dict(zip(self.velocities, z[self.half :], strict=True)) if self.in_velocities else {}
         return self.walk(self.state_at(z, lift), lift, known, aim)
 
     # --- as exact functions of the state ---------------------------------------------------------------------------
@@ -127,7 +128,8 @@ class System:
 
     def slope(self, name: str) -> Matrix:
         """The exact Jacobian of a column, rows over the state."""
-        rows = [[self.field.lift(partial(v, k)) for k in range(self.n)] for (v,) in self.exact[name]]
+        found = [[self.field.lift(partial(v, k)) for k in range(self.n)] for (v,) in self.exact[name]]
+        rows = [self.field.continued(row) for row in found]
         return [self._by_momenta(row) for row in rows] if self.inertia else rows
 
     def _by_momenta(self, row: list[Function]) -> list[Function]:

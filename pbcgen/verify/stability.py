@@ -24,10 +24,12 @@ class Stability(Assumptions):
     """By linearisation, by the Lyapunov function with LaSalle's argument, and for the sampled loop."""
 
     def closes(self) -> None:
-        """The law `passive-output` reads ``y = gamma'``, where the input may enter: then ``sym(grad gamma g) >= 0``.
+        """There is a loop: what the law reads is measured, and its equation has one solution.
 
-        That makes u unique, and its equation one that has a solution; it is part of what passive-output says.
+        The law `passive-output` reads ``y = gamma'``, where u may enter: then ``sym(grad gamma g) >= 0`` is what makes
+        u unique, and it is part of what passive-output says.
         """
+        self.once(self.proved_measurability)
         if "passive-output" in self.law and any(v.top for row in self.rate("gamma") for v in row[1:]):
             self.once(self.proved_passive_output)
 
@@ -50,10 +52,9 @@ class Stability(Assumptions):
         self.zero([v for name in ("f", "g") for row in product(C, self.functions(name)) for v in row], "C x may move")
         self.lyapunov(least=False)
         slope = [*map(rational, witness["slope"])]
+        flat = {sign(v + dot(c, slope)) for v, c in zip(self.shaped[0], transpose(C), strict=True)}
         if any(slope):
-            require(
-                all(sign(v + dot(c, slope)) == 0 for v, c in zip(self.shaped[0], transpose(C), strict=True)), "a slope"
-            )
+            require(flat == {0}, "the gradient may not vanish on the leaf of x*")
         else:
             self.once(self.proved_gradient_condition)
         H = self.hessian_d if "passive-output" in self.law else self.hessian_dc
@@ -171,7 +172,7 @@ class Stability(Assumptions):
         self.grows(witness)
         self.settles(self.undriven(), witness)
         self.alone(witness["alone"])
-        require(self.field.entire() and (not self.inertia or self.solved), "the model may not be smooth everywhere")
+        require(self.field.entire(moduli=True), "the model may not be smooth everywhere")
 
     def refuted_globally_asymptotically_stable(self) -> None:
         """x* is not attractive, or there is another equilibrium: by Krawczyk's test, apart from x*."""

@@ -40,7 +40,12 @@ def test_expressions_share_parameters_and_keep_their_values():
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     given = [0.7 * x + ca.cos(0.7 * y) - 3 * x**0.3, ca.SX(ca.DM([[0.7, 0], [0.25, -0.1]])) * y, ca.SX(2, 2)]
     found, parameters = named_numbers(given, "c", Parameters(c_1=5), taken=["c_2"])
-    assert dict(parameters.values) == {"c_1": 5, "c_3": Fraction(7, 10), "c_4": Fraction(1, 10)}
+    assert dict(parameters.values) == {
+        "c_1": 5,
+        "c_3": Fraction(7, 10),
+        "c_4": Fraction(3, 10),
+        "c_5": Fraction(1, 10),
+    }
     assert [value.shape for value in found] == [value.shape for value in given]
     both = [ca.Function("f", [x, y, parameters.symbols], [v]) for v in (*given, *found)]
     values = [function(0.3, -0.4, parameters.numeric) for function in both]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pbcgen.certify.writing import Writing
 from pbcgen.symbolic.plain.boxes import shown
-from pbcgen.symbolic.plain.elimination import Elimination
+from pbcgen.symbolic.plain.elimination import Elimination, slopes
 from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import is_definite
 from pbcgen.symbolic.plain.spectra import krawczyk, stable
@@ -124,8 +124,34 @@ def test_a_rational_value_is_exact_as_it_is_for_the_prover(name, argument, expec
 
 
 def test_what_has_no_exact_meaning_is_named():
-    with pytest.raises(NotCheckable, match="fabs"):
-        value(formulas_of(ca.fabs(x)), [fmpq(1), fmpq(1)])
+    with pytest.raises(NotCheckable, match="sign"):
+        value(formulas_of(ca.sign(x)), [fmpq(1), fmpq(1)])
+
+
+def test_the_derivative_of_a_modulus_is_known_where_a_factor_vanishes_with_it():
+    """v |v| has the slope 2 |v|, at zero too; |v| and v + |v| have none there, and no second derivative is known."""
+    for at, slope in ((fmpq(-3), 6), (fmpq(0), 0), (fmpq(2), 4)):
+        (v,) = variables([at], 2)
+        found = v * apply("fabs", v)
+        assert plain(partial(found, 0)) == slope
+    assert not plain(partial(partial(found, 0), 0)).is_finite() or at != 0
+    (v,) = variables([fmpq(0)], 2)
+    assert not plain(partial(partial(v * apply("fabs", v), 0), 0)).is_finite()
+    for kink in (apply("fabs", v), v + apply("fabs", v), apply("fabs", v * fmpq(1, 10**300))):
+        assert sign(plain(partial(kink, 0))) is None
+        assert plain(partial(kink, 0)).rad() > 1e300
+
+
+def test_the_slope_of_a_function_with_a_modulus_must_continue():
+    field = Field(1, 16)
+    (v,) = field.symbols
+    modulus = apply("fabs", v)
+    assert not (slopes(field, v * modulus)[0] - modulus * 2).top
+    assert not (modulus * modulus - v * v).top
+    assert not (apply("fabs", v * -3) - modulus * 3).top
+    for kink in (modulus, v + modulus, modulus / (v * v + 1)):
+        with pytest.raises(NotCheckable, match="jump"):
+            slopes(field, kink)
 
 
 @pytest.mark.parametrize("eigenvalue", ["1", "1/1000000", "0", "-1/1000000"])
@@ -161,16 +187,29 @@ def test_krawczyk_encloses_the_zero_and_refuses_what_is_none():
         assert krawczyk(system, [rational("1.4142")], rational("1e-40")) is None
 
 
-@pytest.mark.parametrize("exponent", ["3/4", "-1/4", "5/8", "-3/2", "2"])
-def test_powers_by_roots_are_those_of_exp_and_log(exponent):
+@pytest.mark.parametrize("exponent", ["3/4", "-1/4", "1/3", "-13/10", "-3/2", "2"])
+def test_powers_are_those_of_exp_and_log(exponent):
     found = power(arb(3), rational(exponent))
     assert found.overlaps((arb(3).log() * arb(rational(exponent))).exp())
     assert found.rad() < 1e-10
 
 
-def test_a_power_without_square_roots_is_not_checked():
-    with pytest.raises(NotCheckable, match="no multiple of 1/8"):
-        power(arb(3), rational("1/3"))
+def test_a_power_of_what_may_be_negative_is_unknown():
+    assert not power(arb(0, 1), rational("1/3")).is_finite()
+    assert not power(fmpq(-8), rational("1/3")).is_finite()
+
+
+def test_powers_of_one_function_are_related():
+    """The derivative of a^(4/3) is 4/3 a^(1/3)."""
+    field = Field(1, 16)
+    (x,) = field.symbols
+    a = x * x + 1
+    root = power(a, fmpq(1, 3))
+    assert not (root * root * root - a).top
+    assert (root * root * root + a).top
+    (slope,) = slopes(field, power(a, fmpq(4, 3)))
+    assert not (slope - root * x * fmpq(8, 3)).top
+    assert (slope - root * x * fmpq(7, 3)).top
 
 
 @pytest.mark.parametrize(

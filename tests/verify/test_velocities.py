@@ -123,8 +123,8 @@ def test_what_solves_for_the_velocities_is_known(pattern):
         for wrong in (1.0001 * right[k], right[k] + q[0], right[k] + p[0] * q[0], solve(M, 2 * p)[k], p[k]):
             other = ca.SX(right)
             other[k] = wrong
-            assert solves(*_formulas(M, other, q, p)) is None
+            assert solves(*_formulas(M, other, q, p)) is False
     weight = M[0, 0] - 2 * M[len(names) - 1, len(names) - 1]  # not zero as a function, but for some M > 0
     assert solves(*_formulas(M, (right * weight + weight) / weight - 1, q, p)) is False
     transposed = ca.mtimes(M, p)
-    assert solves(*_formulas(M, transposed, q, p)) is None
+    assert solves(*_formulas(M, transposed, q, p)) is False

@@ -7,7 +7,7 @@ these. What is unknown is a ball without bounds, or an exception: never a wrong 
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import prod
@@ -17,11 +17,11 @@ from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx, fmpz
 
 ODD = {"tanh", "atan", "asinh", "erf", "asin", "atanh"}
 #: Functions that increase, and that are nowhere negative, where they are defined.
-INCREASING, NONNEGATIVE = ODD | {"exp", "log", "sqrt"}, {"exp", "sqrt"}
+INCREASING, NONNEGATIVE = ODD | {"exp", "log", "sqrt"}, {"exp", "sqrt", "fabs"}
 #: Functions that are analytic on the whole line; the others may enter a proof only where the model has them.
 _ENTIRE = {"exp", "sin", "cos", "tanh", "atan", "asinh", "erf"}
 BOUNDED = {"sin", "cos", "tanh", "erf"}
-AT_ZERO = {"exp": 1, "cos": 1} | dict.fromkeys([*ODD, "sin", "sqrt"], 0)
+AT_ZERO = {"exp": 1, "cos": 1} | dict.fromkeys([*ODD, "sin", "sqrt", "fabs"], 0)
 _FUNCTIONS = INCREASING | {"sin", "cos", "acos", "acosh"}
 #: Angles and exponents beyond this multiple of their unit are not expanded.
 _MOST_MULTIPLES = 24
@@ -46,6 +46,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "div": lambda a, b: times(a, fmpq(1) / b),
     "neg": operator.neg,
     "sq": lambda a: a * a,
+    "fabs": lambda a: a.function("fabs") if isinstance(a, Value) else abs(a),
     "twice": lambda a: a + a,
     "inv": lambda a: fmpq(1) / a,
     "hypot": lambda a, b: apply("sqrt", a * a + b * b),
@@ -54,22 +55,6 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "tan": lambda a: apply("sin", a) / apply("cos", a),
     "sinh": lambda a: (apply("exp", a) - apply("exp", -a)) / 2,
     "cosh": lambda a: (apply("exp", a) + apply("exp", -a)) / 2,
-}
-
-#: The derivative of each function, from its argument a and its value v.
-_SLOPES: dict[str, Callable[[Any, Any], Any]] = {
-    "exp": lambda a, v: v,
-    "log": lambda a, v: 1 / a,
-    "sqrt": lambda a, v: 1 / (v + v),
-    "sin": lambda a, v: apply("cos", a),
-    "cos": lambda a, v: -apply("sin", a),
-    "tanh": lambda a, v: 1 - v * v,
-    "atan": lambda a, v: 1 / (a * a + 1),
-    "asin": lambda a, v: 1 / apply("sqrt", 1 - a * a),
-    "acos": lambda a, v: -1 / apply("sqrt", 1 - a * a),
-    "asinh": lambda a, v: 1 / apply("sqrt", a * a + 1),
-    "acosh": lambda a, v: 1 / apply("sqrt", a * a - 1),
-    "atanh": lambda a, v: 1 / (1 - a * a),
 }
 
 
@@ -92,12 +77,14 @@ def apply(name: str, *values: Any) -> Any:
     (a,) = values
     if isinstance(a, Value):
         return a.function(name)
-    known = _known(name, a) if isinstance(a, fmpq) else None
+    known = _known(name, a if isinstance(a, fmpq) else None)
     return getattr(arb, name)(arb(a)) if known is None else known
 
 
-def _known(name: str, a: fmpq) -> fmpq | None:
+def _known(name: str, a: fmpq | None) -> fmpq | None:
     """The value of a function at a rational where that is known to be rational too."""
+    if a is None:
+        return None
     if a == 0 and name in AT_ZERO:
         return fmpq(AT_ZERO[name])
     if name == "log" and a == 1:
@@ -108,8 +95,40 @@ def _known(name: str, a: fmpq) -> fmpq | None:
     return None
 
 
+def _direction(a: Any, modulus: Any) -> Any:
+    """The derivative of the absolute value; unknown at zero, where only a factor zero leaves something known.
+
+    As a function it is ``|a| / a``, without a note of the divisor: what remains of it is looked at (``continued``).
+    """
+    if isinstance(a, Function):
+        return a.field.quotient(modulus.top * a.bottom, modulus.bottom * a.top)
+    if isinstance(a, Dual):
+        return Dual(_direction(a.value, plain(modulus)), dict.fromkeys(a.slope, arb("nan")))
+    return fmpq(sign(a) or 0) or arb(0, arb(2) ** 10**9)
+
+
+#: The derivative of each function, from its argument a and its value v.
+_SLOPES: dict[str, Callable[[Any, Any], Any]] = {
+    "exp": lambda a, v: v,
+    "log": lambda a, v: 1 / a,
+    "sqrt": lambda a, v: 1 / (v + v),
+    "sin": lambda a, v: apply("cos", a),
+    "cos": lambda a, v: -apply("sin", a),
+    "tanh": lambda a, v: 1 - v * v,
+    "atan": lambda a, v: 1 / (a * a + 1),
+    "asin": lambda a, v: 1 / apply("sqrt", 1 - a * a),
+    "acos": lambda a, v: -1 / apply("sqrt", 1 - a * a),
+    "asinh": lambda a, v: 1 / apply("sqrt", a * a + 1),
+    "acosh": lambda a, v: 1 / apply("sqrt", a * a - 1),
+    "atanh": lambda a, v: 1 / (1 - a * a),
+    "fabs": _direction,
+}
+
+
 def never_negative(kind: str, a: Any, b: Any, alone: bool) -> Any:
-    """``(T(a) - T(b)) (a - b)`` with T increasing; alone, T(a) or ``1 - T(a)^2``. None if that may be negative."""
+    """``(T(a) - T(b)) (a - b)`` with T increasing, or ``|a| + a``; alone, T(a) or ``1 - T(a)^2``. Or None."""
+    if kind == "fabs" and not alone:
+        return apply(kind, a) + a
     if kind not in (NONNEGATIVE | BOUNDED if alone else INCREASING):
         return None
     value = apply(kind, a)
@@ -119,14 +138,12 @@ def never_negative(kind: str, a: Any, b: Any, alone: bool) -> Any:
 
 
 def power(a: Any, b: Any) -> Any:
-    """``a**b`` for a number b that is a multiple of 1/8."""
+    """``a**b``: by products and a square root if 2b is an integer, else ``exp(b log(a))``."""
     b = b.value if isinstance(b, Dual) and not b.slope else b
     exponent = b.number() if isinstance(b, Function) else b
-    if not isinstance(exponent, fmpq) or 8 % int(exponent.q):
-        raise NotCheckable("a power with an exponent that is no multiple of 1/8")
-    base = a
-    for _ in range(int(exponent.q).bit_length() - 1):
-        base = apply("sqrt", base)
+    if not isinstance(exponent, fmpq) or exponent.q > 2:
+        return apply("exp", apply("log", a) * b)
+    base = a if exponent.q == 1 else apply("sqrt", a)
     result = prod([base] * abs(int(exponent.p)), start=fmpq(1))
     return 1 / result if exponent < 0 else result
 
@@ -222,6 +239,7 @@ class Field:
         self.symbols = [Function(self, g, self.one) for g in self.generators[pool:]]
         self.atoms: dict[tuple[str, str, str], Function] = {}
         self.relations: list[fmpq_mpoly] = []
+        self.logarithms: dict[str, fmpq_mpoly] = {}
         self.divisors: dict[str, fmpq_mpoly] = {}
         self.all_divisors: dict[str, fmpq_mpoly] = {}
         self.nowhere_zero: set[str] = set()
@@ -252,10 +270,15 @@ class Field:
                 raise Grow(2 * self.pool, self.units)
             self.atoms[key] = a
             new = self.generators[self.pool - len(self.atoms)]
-            if kind == "sqrt" and a.bottom.is_constant():
-                self.relations.append(new * new - a.top)
+            if kind in ("sqrt", "fabs") and a.bottom.is_constant():
+                self.relations.append(new * new - a.top ** (2 if kind == "fabs" else 1))
             if kind == "sin":
                 self.relations.append(new * new + self.atom("cos", a).top ** 2 - 1)
+            if kind == "log" and a.bottom.is_constant():
+                self.logarithms[str(new)] = a.top
+            c = a.top.leading_coefficient() if kind == "exp" else fmpq(0)
+            if c > 0 and max(c.p, c.q) <= _MOST_MULTIPLES and str(a.top / c) in self.logarithms:
+                self.relations.append(new ** int(c.q) - self.logarithms[str(a.top / c)] ** int(c.p))
         return Function(self, self.generators[self.pool - 1 - list(self.atoms).index(key)], self.one)
 
     def function(self, name: str, a: Function) -> Function:
@@ -264,8 +287,11 @@ class Field:
             return self._angle(a)[name == "cos"]
         if name == "exp":
             return prod((power(self.atom("exp", u), fmpq(k)) for u, k in self._multiples(a, False)), start=self.lift(1))
-        if a.top.is_zero() and name in AT_ZERO:
-            return self.lift(AT_ZERO[name])
+        if (known := _known(name, a.number())) is not None:
+            return self.lift(known)
+        if name == "fabs":
+            scale = a.top.leading_coefficient()
+            return self.lift(abs(scale)) * self.atom(name, a * (1 / scale))
         negative = name in ODD and a.top.leading_coefficient() < 0
         return -self.atom(name, -a) if negative else self.atom(name, a)
 
@@ -293,19 +319,18 @@ class Field:
                 sine, cosine = sine * c + cosine * s, cosine * c - sine * s
         return sine, cosine
 
-    def bounded(self, a: Function, ends: Container[int] = ()) -> bool:
-        """Whether only atoms with values in [-1, 1] occur, and symbols with ends."""
-        free = [k for k in range(len(self.generators)) if self._kind(k) not in BOUNDED and k - self.pool not in ends]
-        return a.bottom.is_constant() and not any(a.top.degrees()[k] > 0 for k in free)
+    def bounded(self, a: Function) -> bool:
+        """Whether only atoms with values in [-1, 1] occur."""
+        return bool(self.bound(a, {})[1] < arb("inf"))
 
     def bound(self, a: Function, ends: Mapping[int, fmpq]) -> tuple[fmpq, Any]:
         """(c, r) with ``abs(a - c) <= r`` where symbols are at most their ends, from atoms with values in [-1, 1]."""
-        if not self.bounded(a, ends):
-            return fmpq(0), arb("inf")
-        terms, size = a.top.to_dict(), [ends.get(k - self.pool, fmpq(1)) for k in range(len(self.generators))]
-        centre = sum((c for e, c in terms.items() if not any(e)), fmpq(0))
-        sizes = (prod((s ** int(d) for s, d in zip(size, e, strict=True) if d), start=abs(c)) for e, c in terms.items())
-        return centre, sum(sizes, -abs(centre))
+        inner = [fmpq(1) if self._kind(k) in BOUNDED else arb("inf") for k in range(self.pool)]
+        size = inner + [ends.get(k, arb("inf")) for k in range(len(self.symbols))]
+        terms = a.top.to_dict().items()
+        centre = sum((c for e, c in terms if not any(e)), fmpq(0))
+        sizes = (prod((s ** int(d) for s, d in zip(size, e, strict=True) if d), start=abs(c)) for e, c in terms)
+        return centre, sum(sizes, -abs(centre)) if a.bottom.is_constant() else arb("inf")
 
     def everywhere(self, a: fmpq_mpoly) -> int:
         """1 or -1 when the polynomial certainly has this sign everywhere, else 0.
@@ -351,10 +376,17 @@ class Field:
         """Whether a function is certainly positive everywhere."""
         return self.everywhere(a.top) * self.everywhere(a.bottom) == 1
 
-    def entire(self) -> bool:
-        """Whether everything computed so far is certainly defined and smooth at every state."""
+    def continued(self, slopes: list[Function]) -> list[Function]:
+        """Derivatives of functions that may hold |a|, if they are continuous too. Raises NotCheckable."""
+        if any(kind == "fabs" for kind, _, _ in self.atoms) and not all(self.everywhere(v.bottom) for v in slopes):
+            raise NotCheckable("a derivative may jump")
+        return slopes
+
+    def entire(self, moduli: bool = False) -> bool:
+        """Whether everything computed so far is certainly defined and smooth at every state, apart from ``moduli``."""
+        known = _ENTIRE | {"fabs"} if moduli else _ENTIRE
         atoms = [(kind, a) for (kind, _, _), a in self.atoms.items()]
-        smooth = all(kind in _ENTIRE or (kind in ("log", "sqrt") and self.positive(a)) for kind, a in atoms)
+        smooth = all(kind in known or (kind in ("log", "sqrt") and self.positive(a)) for kind, a in atoms)
         unsure = [divisor for key, divisor in self.all_divisors.items() if key not in self.nowhere_zero]
         return smooth and all(self.everywhere(divisor) for divisor in unsure)
 

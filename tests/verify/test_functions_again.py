@@ -1,0 +1,98 @@
+"""Certificates of models with moduli, powers and functions of numbers."""
+
+import json
+
+import casadi as ca
+import pytest
+from certificates import forged, outcomes, signed
+
+from pbcgen import AffineSystem, Design, DynamicExtension, Parameters
+from pbcgen.certify.certificate import certificate
+from pbcgen.control.derive import derive
+
+pytestmark = pytest.mark.system
+
+LOCAL, GLOBAL = "asymptotically-stable", "globally-asymptotically-stable"
+
+
+def _design(friction, spring=lambda x: x, energy=lambda x: x**2 / 2, parameters=None):
+    x, v, u = (ca.SX.sym(name) for name in "xvu")
+    options = {} if parameters is None else {"parameters": parameters}
+    f = [v, -spring(x) - friction(v)]
+    system = AffineSystem([x, v], [u], f, [0, 1], energy(x) + v**2 / 2, **options)
+    return Design(system, {"x": "0.5"}, DynamicExtension(2, 3, 5, 1), sample_period="1e-3", name="functions")
+
+
+def _document(design):
+    return json.loads(json.dumps(certificate(derive(design))))
+
+
+def _unchecked(document):
+    found = outcomes(document)
+    return {e["claim"]: found[e["claim"]] for e in document["claims"] if found[e["claim"]] not in ("checked", "open")}
+
+
+P = Parameters(a=1, b=2, c="7/5", e="1/3")
+
+#: Friction and spring with the energy of the spring.
+MODELS = {
+    "drag": (lambda v: v * ca.fabs(v),),
+    "drag beside friction": (lambda v: v / 5 + v * ca.fabs(v) / 3,),
+    "drag of higher order": (lambda v: v * ca.fabs(v) * (1 + ca.fabs(v)),),
+    "drag on one side": (lambda v: v * (v + ca.fabs(v)),),
+    "friction with a kink": (lambda v: 2 * v + ca.fabs(v),),
+    "a sine of a number": (lambda v: ca.sin(P.a) * v,),
+    "a root of a number": (lambda v: v, lambda x: ca.sqrt(P.b) * x, lambda x: ca.sqrt(P.b) * x**2 / 2),
+    "a power": (
+        lambda v: v,
+        lambda x: x + 2 * P.c * x * (1 + x**2) ** (P.c - 1),
+        lambda x: x**2 / 2 + (1 + x**2) ** P.c,
+    ),
+    "a cube root": (lambda v: v * (1 + v**2) ** P.e,),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_verdict_is_checked_again(name):
+    document = _document(_design(*MODELS[name], parameters=P))
+    assert {e["claim"]: e["status"] for e in document["claims"]}["asymptotically-stable"] == "PROVED"
+    assert _unchecked(document) == {}
+
+
+@pytest.mark.parametrize(
+    ("good", "bad"),
+    [
+        ("drag", lambda v: -v * ca.fabs(v)),
+        ("drag", lambda v: v * v),
+        ("drag beside friction", lambda v: v * ca.fabs(v) / 3 - v / 5),
+        ("drag on one side", lambda v: v * (ca.fabs(v) / 2 - v)),
+        ("friction with a kink", lambda v: v / 2 + ca.fabs(v)),
+        ("a sine of a number", lambda v: ca.sin(4 * P.a) * v),
+    ],
+)
+def test_friction_that_drives_is_not_believed(good, bad):
+    """Under the certificate of friction that brakes, and under its own with every verdict PROVED."""
+    design = _design(bad, parameters=P)
+    for document in (_document(_design(*MODELS[good], parameters=P)), _document(design)):
+        found = outcomes(forged(document, design))
+        assert "checked" not in {found["assumption-1"], found["passive-output"], found[GLOBAL]}
+
+
+def test_friction_with_a_kink_is_not_linearised():
+    """``v / 2 + |v|`` pulls on one side: the slopes at rest are between -1/2 and 3/2."""
+    document = _document(_design(lambda v: v / 2 + ca.fabs(v)))
+    for status in ("PROVED", "REFUTED"):
+        for entry in document["claims"]:
+            if entry["claim"] in ("stable", LOCAL, "sampled-stable"):
+                entry |= {"status": status, "witness": None, "domain": "near x*"}
+                entry["domain"] = "sampled loop" if entry["claim"] == "sampled-stable" else "near x*"
+        found = outcomes(signed(document))
+        assert "checked" not in {found["stable"], found[LOCAL], found["sampled-stable"]}
+
+
+def test_a_storage_with_a_kink_shows_nothing():
+    """|x| / 10 has a slope on each side of zero, but none at zero."""
+    design = _design(lambda v: v, energy=lambda x: x**2 / 2 + ca.fabs(x) / 10)
+    for document in (_document(design), _document(_design(lambda v: v))):
+        found = outcomes(forged(document, design))
+        assert "checked" not in {found["assumption-1"], found["passive-output"], found[GLOBAL]}
