@@ -20,7 +20,7 @@ from pbcgen.symbolic.plain.values import Dual, Field, partial, plain, sign, vari
 #: What is kept of a design once it is known, and is another at another x*.
 _AT_X_STAR = (
     *("star", "gamma", "stiffness", "shaped", "hessian_d", "hessian_dc", "plant", "controller"),
-    *("continuous", "sampled", "is_hurwitz"),
+    *("continuous", "sampled", "is_hurwitz", "is_schur"),
 )
 #: Newton's steps from the start of an unknown, and what a box around it is wider than its values.
 _STEPS, _LEAST = 12, fmpq(1, 10**60)

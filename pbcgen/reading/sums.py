@@ -25,7 +25,6 @@ class Sums(System):
         super().__init__(document, *settings)
         self.passed: set[str] = set()
         self.readings = Formulas.parse(document["readings"])
-        self.witness: Mapping[str, Mapping[str, Any]] = {c["claim"]: c["witness"] or {} for c in document["claims"]}
         if len(self.witness) != len(document["claims"]):
             raise Malformed("a claim is made twice")
         self.domain, self.status = ({c["claim"]: c[key] for c in document["claims"]} for key in ("domain", "status"))
@@ -64,16 +63,12 @@ class Sums(System):
 
     def on_set(self, claim: str) -> Elimination:
         """The set that a witness describes: some states and inputs as functions of the others."""
-        if "set" not in self.witness[claim]:
-            raise NotCheckable("the certificate holds no set")
         chain = Elimination(self.field, [], [])
         chain.solved = {int(k): self.placed[place] for k, place in self.witness[claim]["set"].items()}
         return chain
 
-    def without_squares(self, matrix: Matrix, claim: str, squares: Sequence[Any] | None) -> Matrix:
+    def without_squares(self, matrix: Matrix, claim: str, squares: Sequence[Any]) -> Matrix:
         """The matrix without ``sum weight * factors * v v^T``: positive weights, factors that are never negative."""
-        if squares is None:
-            raise NotCheckable("the certificate holds no decomposition into squares")
         for weight, factors, places in squares:
             require(rational(weight) > 0, "a weight is not positive")
             scale = self.field.lift(rational(weight))
@@ -85,7 +80,7 @@ class Sums(System):
 
     def nonnegative(self, matrix: Matrix, claim: str, part: Mapping[str, Any] | None = None) -> None:
         """The matrix is the sum of squares of a witness or of a part of it, on the domain of the claim."""
-        rest = self.without_squares(matrix, claim, (self.witness[claim] if part is None else part).get("squares"))
+        rest = self.without_squares(matrix, claim, (self.witness[claim] if part is None else part)["squares"])
         self.zero([v for row in rest for v in row], "the squares do not add up to what they stand for")
 
     def _factor(self, claim: str, kind: str, a: int, b: Any, alone: bool) -> Any:

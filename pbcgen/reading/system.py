@@ -26,13 +26,20 @@ def require(condition: object, otherwise: str) -> None:
         raise Fails(otherwise)
 
 
+class Witness(dict[str, Any]):
+    """What a certificate holds for a claim."""
+
+    def __missing__(self, name: str) -> Any:
+        raise NotCheckable(f"the certificate does not hold `{name}`")
+
+
 class System:
     """The model, the formulas beside it, and the target of a certificate."""
 
     def __init__(self, document: Mapping[str, Any], *settings: Any) -> None:
         self.model = Model.parse("\n".join(document["model"]))
         self.formulas, self.terms = (Formulas.parse(document[name]) for name in ("formulas", "terms"))
-        self.enclosure = next((c["witness"] for c in document["claims"] if c["claim"] == "equilibrium"), None) or {}
+        self.witness: Mapping[str, Any] = {c["claim"]: Witness(c["witness"] or {}) for c in document["claims"]}
         self.states, self.inputs, self.law = (self.model.words[name] for name in ("states", "inputs", "law"))
         self.n, self.m, self.half = len(self.states), len(self.inputs), len(self.states) // 2
         self.moves: dict[int, list[Any]] = {}  # the slopes of x* by the settings, where these are looked at
@@ -187,16 +194,10 @@ class System:
 
     # --- at x* -----------------------------------------------------------------------------------------------------
 
-    def changes(self, name: str) -> Any:
-        """The functions of a column, each with its value at x*."""
-        return zip(self.functions(name), [v for (v,) in self.numbers(name)], strict=True)
-
     @cached_property
     def point(self) -> tuple[list[Any], list[Any]]:
         """x* and u*, which exist: by Krawczyk's test, or because all equations hold exactly."""
-        witness, names = self.enclosure, [*self.states, *self.inputs]
-        if not witness:
-            raise NotCheckable("the certificate encloses no x*")
+        witness, names = self.witness["equilibrium"], [*self.states, *self.inputs]
         known, unknown = ({name: rational(v) for name, v in witness[part].items()} for part in ("known", "unknown"))
         rows, centre = witness["rows"], [*unknown.values()]
         require(sorted([*known, *unknown]) == sorted(names), "x* and u* are not complete")

@@ -86,8 +86,6 @@ class Stability(Assumptions):
             return None
         if "steps" not in self.witness["asymptotically-stable"]:
             require(self.is_hurwitz is None, "the linearisation is not Hurwitz")
-            if self.status[_GLOBAL] != "PROVED":
-                raise NotCheckable("the certificate does not hold the chain of implications")
             return self.once(self.proved_globally_asymptotically_stable)
         self.lyapunov()
         self.settles(self.undriven(), self.witness["asymptotically-stable"])
@@ -109,7 +107,8 @@ class Stability(Assumptions):
         self.once(self.proved_gradient_condition)
         set_ = (chain := self.on_set("asymptotically-stable")).solved
         require(len(set_) < self.n and max(set_, default=0) < self.n, "the set has no other states than x*")
-        constants = [row[0] - v for name in ("gamma", "eta") if name in self.exact for row, v in self.changes(name)]
+        signals = [name for name in ("gamma", "eta") if name in self.exact]
+        constants = [a - b for s in signals for a, (b,) in zip(self.column(s), self.numbers(s), strict=True)]
         chain.solved = {self.n + j: self.field.lift(u) for j, u in enumerate(self.resting_input)} | set_
         for k, value in set_.items():
             require(sign(put_in(self.field, value, self.point[0]) - self.point[0][k]) == 0, "x* is not in the set")
@@ -167,8 +166,6 @@ class Stability(Assumptions):
         require(not self.model.domain, "the model is restricted to a domain")
         self.lyapunov()
         require({self.domain[c] for c in ("assumption-1", "passive-output")} == {"all x"}, "it holds on a domain only")
-        if "steps" not in witness:
-            raise NotCheckable("the certificate does not hold the chain of implications")
         self.grows(witness)
         self.settles(self.undriven(), witness)
         self.alone(witness["alone"])
@@ -184,23 +181,28 @@ class Stability(Assumptions):
 
     def proved_sampled_stable(self) -> None:
         """The storage decreases, where its damping is given; else the linearised sampled loop is Schur."""
-        whole = self.domain["sampled-stable"] == "sampled loop, all x"
-        if "Lambda" in self.witness["sampled-stable"]:
+        whole, storage = (
+            self.domain["sampled-stable"] == "sampled loop, all x",
+            "Lambda" in self.witness["sampled-stable"],
+        )
+        if self.jitter and ("natural-damping" in self.law or not storage):  # the controller knows its own period only
+            raise NotCheckable("periods that vary")
+        if storage:
             self.once(self.proved_globally_asymptotically_stable if whole else self.proved_asymptotically_stable)
             return self._decreases()
-        linear = stable(self.sampled, True, self.storage("sampled-stable"))
-        if linear is not False and (whole or not linear):
+        if self.is_schur is not False and (whole or not self.is_schur):
             raise NotCheckable("the certificate does not hold the damping that sampling consumes")
-        return require(linear, "the linearised sampled loop is not Schur")
+        return require(self.is_schur, "the linearised sampled loop is not Schur")
+
+    @cached_property
+    def is_schur(self) -> bool | None:
+        """Whether the linearised sampled loop is Schur; None if that is not certain."""
+        return stable(self.sampled, True, self.storage("sampled-stable"))
 
     @property
     def jitter(self) -> fmpq:
         """The share by which periods vary."""
         return rational(self.model.words.get("jitter", ["0"])[0])
-
-    def any_sequence(self, claim: str) -> bool:
-        """Whether the storage of the certificate knows the controller's own period only."""
-        return "Lambda" in (self.witness[claim] or {}) and "natural-damping" not in self.law
 
     def refuted_sampled_stable(self) -> None:
         """An eigenvalue outside the unit disc; or what shows that x* does not attract stays so with held inputs."""
@@ -208,8 +210,7 @@ class Stability(Assumptions):
         if "conserved" in shown or ("set" in shown and not self.compensated):
             require(self.status["asymptotically-stable"] == "REFUTED", "it is said to attract")
             return self.once(self.refuted_asymptotically_stable)
-        linear = stable(self.sampled, True, self.storage("sampled-stable"))
-        return require(linear is False, "no eigenvalue certainly lies outside the unit disc")
+        return require(self.is_schur is False, "no eigenvalue certainly lies outside the unit disc")
 
     def _decreases(self) -> None:
         """What the longest period h consumes leaves damping: ``Lambda - h C / 2 > 0`` for y, or Theta > 0 with that."""
@@ -235,8 +236,8 @@ class Stability(Assumptions):
     def proved_adjustable(self) -> None:
         """All settings have an x* that meets the target; near it the loop is stable, sampled too; the inputs fit."""
         witness = self.witness["adjustable"]
-        if "cells" not in witness:
-            raise NotCheckable("the certificate holds no cells of the settings")
+        if self.jitter:
+            raise NotCheckable("periods that vary")
         require(self.model.settings and self.rests(), "the settings have other equilibria")
         require(self.passes_by(witness["cells"]), "a cell of settings may fail")
         require(self.compensated or self.fits(witness["trees"]), "an input may leave its limits")
@@ -246,8 +247,6 @@ class Stability(Assumptions):
     def refuted_adjustable(self) -> None:
         """At some settings there is no x*, or it leaves the domain, or an input its limits, or the loop is unstable."""
         witness = self.witness["adjustable"]
-        if "at" not in witness:
-            raise NotCheckable("the certificate holds no settings that fail")
         values = self.given("adjustable", "at")
         require(all(lo <= v <= hi for v, (lo, hi) in zip(values, self.box, strict=True)), "these may not be set")
         if "steps" in witness:
