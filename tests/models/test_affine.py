@@ -138,7 +138,7 @@ def test_numbers_in_the_potential_energy_become_parameters():
     q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
     V = _stiff_energy(q, 1e13, 9e-4) + ca.cos(q[0]) ** 0.3 + 3 * q[1] / 4
     system = Mechanical(q, p, M=ca.SX.eye(2), V=V, D=[1000, 1000], G=[[1], [0]]).system
-    assert sorted(map(float, system.parameters.values.values())) == [9e-4, 1e13]
+    assert sorted(map(float, system.parameters.values.values())) == [9e-4, 0.3, 1e13]
     function = ca.Function("V", [q, ca.SX(system.parameters.symbols)], [system.mechanical.V])
     at = [0.25, -0.5]
     assert float(function(at, system.parameters.numeric)) == pytest.approx(float(ca.Function("V", [q], [V])(at)))

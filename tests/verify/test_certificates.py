@@ -208,7 +208,11 @@ def test_theta_at_its_margin():
         other = "REFUTED" if status == "PROVED" else "PROVED"
         for entry in document["claims"]:
             entry["status"] = other if entry["claim"] == "theta" else entry["status"]
-        assert outcomes(signed(document))["theta"] == "fails"
+        assert outcomes(signed(document))["theta"] != "checked"
+        entry = next(entry for entry in document["claims"] if entry["claim"] == "theta")
+        for v in (["1", "1", "1"], ["1", "1", "2"], ["1", "-1", "-1"]) if status == "PROVED" else ():
+            entry["witness"] = {"v": v}
+            assert outcomes(signed(document))["theta"] == "fails"
 
 
 @pytest.mark.parametrize(("gain", "value"), [("K_c", "[[1]]"), ("R_c", "[[1/2]]"), ("K_l", "[[10]]"), ("R_l", "[[1]]")])
