@@ -66,6 +66,8 @@ def _slow_decay(plant: ca.Function, controller: ca.Function, x_star: NDArray[np.
     whole = ca.vertcat(x, xi)
     slope = ca.Function("slope", [whole], [ca.jacobian(ca.vertcat(plant(x, u), rate), whole)])
     matrix = slope(ca.vertcat(x_star, ca.DM.zeros(xi.numel()))).sparse()
+    if matrix.shape[0] < 3 or not np.isfinite(matrix.data).all():
+        return None
     try:
         found = eigs(matrix, min(_MODES, matrix.shape[0] - 2), sigma=0, v0=np.ones(matrix.shape[0]))
     except (ArpackError, RuntimeError):

@@ -39,6 +39,8 @@ def boundary(families: Sequence[Array], rounds: int = 150) -> Array | None:
 
 def _solve(goal: Array, families: Sequence[tuple[Array, float]], rounds: int) -> tuple[Array, float] | None:
     """(t, s): the families with 1.0 are at least s I / 2, those with 0.0 at least zero, nearly."""
+    if not all(np.isfinite(family).all() for family, _ in families):
+        return None  # slopes at x* that do not exist
     rows: list[Array] = []
     bounds = [(-1.0, 1.0)] * (len(goal) - 1) + [(0.0, 1.0)]
     for _ in range(rounds):
