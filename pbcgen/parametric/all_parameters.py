@@ -86,8 +86,11 @@ def _verdicts(wide: Wide) -> Iterator[Verdict]:
     yield from found.values()
     if wide.law is not None:
         stability = Stability(wide, point, matched, found, strict)
-        yield Verdict(stability.stable())
-        yield Verdict(stability.attractive())
+        stable, attractive = stability.stable(), stability.attractive()
+        if stable.status is Status.UNDECIDED and attractive.status is not Status.UNDECIDED and not stability.where:
+            stable = replace(attractive, claim="stable")  # a loop that is Hurwitz, or has a growing mode
+        yield Verdict(stable)
+        yield Verdict(attractive)
         if "globally-asymptotically-stable" in kept:
             yield Verdict(stability.globally())
 

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from pbcgen.control.derive import Derivation
 from pbcgen.errors import UnsupportedOperation
@@ -33,6 +35,7 @@ from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import Inconsistent
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, rational, text
+from pbcgen.symbolic.real_matrices import RealMatrix
 from pbcgen.symbolic.tape import Tape
 
 PARAMETERS = "all positive parameters"
@@ -217,6 +220,18 @@ class Wide:
 
     # --- counterexamples ------------------------------------------------------------------------------------------
 
+    def at_parameters(self, expression: ca.SX) -> AtParameters:
+        """A matrix of functions of s, to be evaluated at positive parameters."""
+        at_values = ca.densify(ca.substitute(expression, self.s, ca.log(self.p)))
+        numbers = self.plant.values
+        places = [k for k, name in enumerate(self.plant.parameter_names) if name in numbers]
+        extra = ca.vertcat(ca.SX(0, 1), *[self.plant.parameter_symbols[k] for k in places])
+        return AtParameters(
+            Tape.of([self.p, extra], [at_values]),
+            ca.Function("at", [self.p, extra], [at_values]),
+            tuple(numbers[self.plant.parameter_names[k]] for k in places),
+        )
+
     def counterexample(
         self,
         value: ca.SX,
@@ -259,6 +274,25 @@ class Wide:
                 states = dict(zip(self.given.system.state_names, shown[:n], strict=True)) if n else {}
                 return dict(zip(self.values, shown[n:], strict=True)), states, found.value
         return None
+
+
+@dataclass(frozen=True, eq=False)
+class AtParameters:
+    """A matrix of functions of the parameters, and of fixed numbers."""
+
+    tape: Tape
+    function: ca.Function
+    fixed: tuple[Fraction, ...]
+
+    def rounded(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """In double precision."""
+        return np.array(self.function(values, [float(v) for v in self.fixed]))
+
+    def exact(self, values: Sequence[Fraction]) -> RealMatrix:
+        """In exact numbers or balls."""
+        with precision(BITS):
+            found = self.tape.walk(REAL, [[rational(v) for v in values], [rational(v) for v in self.fixed]])
+            return found[0].dense(ZERO)
 
 
 def _gain_values(base: BaseLaw | None) -> list[tuple[str, str, Fraction]]:

@@ -10,13 +10,15 @@ from fractions import Fraction
 from functools import cached_property
 
 import casadi as ca
+import numpy as np
 
 from pbcgen.control.stability import lyapunov_premises
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.law.gain_matrices import exact_inverse
+from pbcgen.models.exact import decimal
 from pbcgen.models.laws import DynamicExtension, Integral, NaturalDamping, PassiveOutput, PotentialCompensation
 from pbcgen.parametric.resting_point import RestingPoint
-from pbcgen.parametric.wide import EVERYWHERE, GIVE_UP, NEAR_TARGET, Wide, undecided
+from pbcgen.parametric.wide import EVERYWHERE, GIVE_UP, NEAR_TARGET, Wide, pairs, refuted, undecided
 from pbcgen.parametric.wide_conditions import Verdict, condition
 from pbcgen.passivity.coordinates import proper
 from pbcgen.passivity.flow import Flow, flow
@@ -28,9 +30,12 @@ from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.elimination import definite, semidefinite
 from pbcgen.proof.known import BOUNDED_KINDS
 from pbcgen.proof.nonnegative import positive
+from pbcgen.proof.spectrum import hurwitz
 from pbcgen.symbolic.coefficients import Coefficients
 from pbcgen.symbolic.field import Quotient
 
+#: Parameters are tried within these factors of their values, so many times each.
+SPREADS, _TRIALS = (10.0, 1000.0), 100
 #: Closed loops with more states are not decided by Routh's array in functions.
 _LARGEST_ROUTH = 6
 #: Conditions are shown for closed loops up to this size; entries with more terms are not tested for their sign.
@@ -104,7 +109,35 @@ class Stability:
                 tried = f"Hurwitz iff {condition_}, by Routh's array"
         except GIVE_UP as reason:
             tried = f"{tried}; {reason}"
-        return by_lasalle or undecided(name, NEAR_TARGET, tried)
+        return by_lasalle or self._unstable(name) or undecided(name, NEAR_TARGET, tried)
+
+    def _unstable(self, name: str) -> Claim | None:
+        """REFUTED by positive parameters at which the linearised loop certainly has a growing mode; or None."""
+        assert self.point is not None
+        try:
+            matrix = self.wide.at_parameters(self.point.put_in(self.closed_loop(self.wide)))
+        except GIVE_UP:
+            return None
+        own = np.array([float(v) for v in self.wide.values.values()])
+        if len(own) == 0 or not np.all(own > 0):
+            return None
+        generator = np.random.default_rng(0)
+        for reach in SPREADS:
+            for _ in range(_TRIALS):
+                values = own * reach ** generator.uniform(-1, 1, len(own))
+                loop = matrix.rounded(values)
+                if not np.all(np.isfinite(loop)) or np.max(np.linalg.eigvals(loop).real) <= 1e-6 * np.linalg.norm(loop):
+                    continue
+                exact = [Fraction(f"{v:.4g}") for v in values]
+                found = hurwitz(matrix.exact(exact))
+                if found.status is Status.REFUTED:
+                    shown = {key: decimal(v) for key, v in zip(self.wide.values, exact, strict=True)}
+                    why = (
+                        f"the linearised loop has an eigenvalue of real part {found.extreme:.4g} with {pairs(shown)}"
+                    )
+                    hint = "restrict the parameters, or change the gains with them"
+                    return refuted(name, NEAR_TARGET, why, hint, {"parameters": shown})
+        return None
 
     def _open_in_routh(self, loop: Sequence[Sequence[Quotient]]) -> list[Quotient] | None:
         """The entries of the first column that are not proved positive; None if not all were looked at."""
@@ -308,9 +341,9 @@ class Stability:
 
     @staticmethod
     def closed_loop(wide: Wide) -> ca.SX:
-        """The Jacobian of the closed loop in (x, x_c, x_l) at rest: tanh has slope one there."""
+        """The Jacobian of the closed loop in (x, x_c, x_l, psi) at rest: tanh has slope one there, and sech is one."""
         base, system = wide.base, wide.plant.system
-        if isinstance(wide.law, Integral) or base is None or wide.gamma is None:
+        if base is None or wide.gamma is None:
             raise UnsupportedOperation("the closed loop of this law is not written with symbolic parameters")
         N, A = ca.jacobian(wide.gamma, system.x), wide.diagonal(wide.alpha_beta)
         open_loop = ca.jacobian(system.xdot, system.x)
@@ -321,21 +354,26 @@ class Stability:
             return open_loop - ca.mtimes(system.g, pull)
         assert isinstance(base, DynamicExtension | PotentialCompensation | NaturalDamping)
         R_c, K_c, zero = wide.matrix(base.R_c), wide.matrix(base.K_c), ca.SX(system.m, system.m)
-        # u = u* + held - (sum of pulls), and xi' = -(gain) (pull of the own term), with pulls linear in (x, x_c, x_l).
-        terms = [(R_c, ca.mtimes(A, N), A, A + K_c)]
+        # u = u* + held - (sum of pulls), and xi' = -(gain) (what the filter reads and its own part), all linear: for
+        # each term the gain, what it pulls by x and by xi, what its filter reads of x, and its own part.
+        terms = [(R_c, ca.mtimes(A, N), A, ca.mtimes(A, N), A + K_c)]
         if isinstance(base, NaturalDamping):
             if wide.eta is None or base.Upsilon is None:
                 raise UnsupportedOperation("there is no eta")
             B = _diagonal(wide, [a * b for a, b in zip(base.alpha_l, base.beta_l, strict=True)])
             read = ca.mtimes([B, wide.matrix(base.Upsilon), ca.jacobian(wide.eta, system.x)])
             soft = ca.mtimes(B, wide.matrix(base.K_l))
-            terms.append((wide.matrix(base.R_l), read, soft, soft))
+            terms.append((wide.matrix(base.R_l), read, soft, read, soft))
+        if isinstance(wide.law, Integral):
+            law, one = wide.law, ca.SX.eye(system.m)
+            B = _diagonal(wide, [a * b for a, b in zip(law.alpha_psi, law.beta_psi, strict=True)])
+            terms.append((one, ca.SX(system.m, system.n), B, -ca.mtimes(B, N), wide.matrix(law.R_psi)))
         comp = wide.compensation
         held = ca.SX(system.m, system.n) if comp is None else ca.jacobian(comp, system.x)
-        driven = held - sum((read for _, read, _, _ in terms), ca.SX(system.m, system.n))
-        pulls = ca.horzcat(*[own for _, _, own, _ in terms])
+        driven = held - sum((by_x for _, by_x, _, _, _ in terms), ca.SX(system.m, system.n))
+        pulls = ca.horzcat(*[by_filter for _, _, by_filter, _, _ in terms])
         rows = [ca.horzcat(open_loop + ca.mtimes(system.g, driven), -ca.mtimes(system.g, pulls))]
-        for i, (gain, read, _, own) in enumerate(terms):
+        for i, (gain, _, _, read, own) in enumerate(terms):
             beside = [-ca.mtimes(gain, own) if i == j else zero for j in range(len(terms))]
             rows.append(ca.horzcat(-ca.mtimes(gain, read), *beside))
         return ca.vertcat(*rows)

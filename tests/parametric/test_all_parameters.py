@@ -13,6 +13,7 @@ from pbcgen import (
     AffineSystem,
     Design,
     DynamicExtension,
+    Integral,
     Limits,
     Mechanical,
     ModelError,
@@ -170,7 +171,7 @@ def test_masses_whose_coupling_may_be_too_strong_are_refuted_with_values():
     assert min(values.values()) > 0
     assert values["m1"] * values["m2"] < values["c"] ** 2
     assert "where the model is defined" in claims["assumption-1"].domain  # M is singular for others
-    assert claims["stable"].status == claims["asymptotically-stable"].status == "UNDECIDED"
+    assert claims["stable"].status == claims["asymptotically-stable"].status == "REFUTED"
 
 
 SIGNS = {
@@ -284,20 +285,52 @@ def test_a_verdict_agrees_with_every_sample_of_the_parameters(damping, stiffness
 
 
 @pytest.mark.parametrize(
-    "name", ["oscillator", "buck converter", "buck converter, full state", "pera", "damped masses"]
+    ("name", "integral"),
+    [
+        ("oscillator", False),
+        ("buck converter", False),
+        ("buck converter, full state", False),
+        ("pera", False),
+        ("damped masses", False),
+        ("damped masses", True),
+    ],
 )
-def test_the_closed_loop_is_that_of_the_linearisation_at_the_values(name):
-    report = check(FAMILIES[name]())
-    situation = report.derivation.situation
+def test_the_closed_loop_is_that_of_the_linearisation_at_the_values(name, integral):
+    design = FAMILIES[name]()
+    if integral:
+        design = design.with_(law=Integral(design.law, alpha_psi="0.7", beta_psi=2, R_psi="0.3"))
+    report = check(design)
     wide = Wide(report.derivation)
     point, _ = _equilibrium(wide)
-    matrix = ca.substitute(point.put_in(Stability.closed_loop(wide)), wide.s, ca.log(wide.p))
-    fixed = wide.plant.values
-    symbols = ca.vertcat(wide.p, wide.plant.parameter_symbols[-len(fixed) :])
-    values = [float(v) for v in (*wide.values.values(), *fixed.values())]
-    found = np.array(ca.Function("A", [symbols], [ca.densify(matrix)])(values))
-    expected = np.array([[approximate(v) for v in row] for row in situation.loop.continuous()])
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    matrix = wide.at_parameters(point.put_in(Stability.closed_loop(wide)))
+    expected = np.array([[approximate(v) for v in row] for row in report.derivation.situation.loop.continuous()])
+    own = list(wide.values.values())
+    exact = np.array([[approximate(v) for v in row] for row in matrix.exact(own)])
+    for found in (matrix.rounded(np.array([float(v) for v in own])), exact):
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+
+#: Gains of an integral term on a mass with a spring and a damper, and whether it is stable for all of them.
+INTEGRAL = [("0.1", "1", True), ("1", "1", True), ("1", "0", False), ("5", "0.5", False), ("9", "0.1", False)]
+
+
+@pytest.mark.parametrize(("alpha", "leak", "always"), INTEGRAL)
+def test_an_integral_term_is_stable_for_all_parameters_or_refuted_with_some(alpha, leak, always):
+    p = Parameters(m=1, k=2, d="0.5")
+    q, v = _symbols("q", "v")
+    system = Mechanical([q], [v], M=[p.m], V=p.k * q**2 / 2, D=[p.d], G=[1], parameters=p)
+    law = Integral(DynamicExtension(3, 2, 20, "0.5"), alpha_psi=alpha, beta_psi="0.3", R_psi=leak)
+    claims = {c.claim: c for c in for_all_parameters(check(_design(system, {"q": "0.2"}, law)))}
+    near = claims["asymptotically-stable"]
+    assert near.status == claims["stable"].status == ("PROVED" if always else "REFUTED")
+    shown = [{"m": 1, "k": 2, "d": 0.5}] if always else [near.counterexample["parameters"]]
+    if always:
+        shown += [dict(zip("mkd", v, strict=True)) for v in 10 ** np.random.default_rng(2).uniform(-4, 4, (500, 3))]
+    for values in shown:
+        m, k, d = (float(values[name]) for name in "mkd")
+        b = float(alpha) * 0.3
+        loop = [[0, 1 / m, 0, 0], [-k - 6, -d / m, -6, -b], [-3, 0, -13, 0], [b, 0, 0, -float(leak)]]
+        assert (np.max(np.linalg.eigvals(loop).real) < 0) == always
 
 
 @pytest.mark.parametrize(("damping", "expected"), [("exp", True), ("symbol", False), ("minus", False)])
