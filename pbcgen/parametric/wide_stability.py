@@ -132,9 +132,7 @@ class Stability:
                 found = hurwitz(matrix.exact(exact))
                 if found.status is Status.REFUTED:
                     shown = {key: decimal(v) for key, v in zip(self.wide.values, exact, strict=True)}
-                    why = (
-                        f"the linearised loop has an eigenvalue of real part {found.extreme:.4g} with {pairs(shown)}"
-                    )
+                    why = f"the linearised loop has an eigenvalue of real part {found.extreme:.4g} with {pairs(shown)}"
                     hint = "restrict the parameters, or change the gains with them"
                     return refuted(name, NEAR_TARGET, why, hint, {"parameters": shown})
         return None
