@@ -199,7 +199,7 @@ def _hessian_claim(
     if minimum is None:
         hint = (
             "no alpha*beta helps: the storage has no minimum at x* in the directions that gamma does not act on; "
-            "choose another target"
+            "choose another target or actuator"
         )
     else:
         hint = f"alpha*beta must exceed {', '.join(f'{v:.9g}' for v in minimum)}; it is {given}"
