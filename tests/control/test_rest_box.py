@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from pbcgen import Design, DynamicExtension, Mechanical, check
+from pbcgen.control.rest_box import _bounded_by
 from pbcgen.proof.alone import only_zero
-from pbcgen.symbolic.real import BITS, REAL, ZERO, precision
+from pbcgen.symbolic.exact_walk import evaluate
+from pbcgen.symbolic.real import BITS, REAL, ZERO, precision, rational
 from pbcgen.symbolic.tape import Tape
 
 
@@ -96,3 +98,37 @@ def test_a_zero_is_alone_or_not(function, alone):
     box = ((Fraction(-3), Fraction(4)), (Fraction(-2), Fraction(2)))
     with precision(BITS):
         assert only_zero(_system(function), [ZERO, ZERO], box, 600) == alone
+
+
+@pytest.mark.parametrize(
+    ("make", "bounded"),
+    [
+        (lambda a, b: a, True),
+        (lambda a, b: 2 * a + 3 * ca.sin(a), True),
+        (lambda a, b: a**3 - 5 * a + ca.cos(b), True),
+        (lambda a, b: -(a**2) / 4 + 7 * a, True),
+        (lambda a, b: a / (1 + a**2), False),
+        (lambda a, b: (a**3 - a) / (1 + a**2), False),
+        (lambda a, b: a + b, False),
+        (lambda a, b: a * b, False),
+        (lambda a, b: a * ca.sin(b), False),
+        (lambda a, b: ca.tanh(a), False),
+        (lambda a, b: a + ca.exp(b), False),
+    ],
+)
+def test_a_function_that_is_known_to_a_reach_bounds_its_coordinate(make, bounded):
+    """Beyond the bound the function is farther from its centre than the reach, wherever the others are."""
+    names = ["a", "b"]
+    x = ca.SX.sym("a", 2)
+    value = make(*ca.vertsplit(x))
+    field, (matrix,) = evaluate(Tape.of([x], [value]), names)
+    found = _bounded_by(matrix.scalar(field.const(0)), rational(Fraction(1, 2)), Fraction(3), {})
+    assert (found is not None) == bounded
+    if found is not None:
+        k, end = found
+        assert k == 0
+        numeric = ca.Function("f", [x], [value])
+        for away in (1.0, 1.001, 2.0, 50.0):
+            for side in (-1, 1):
+                for other in np.linspace(-9, 9, 7):
+                    assert abs(float(numeric([side * away * float(end), other])) - 0.5) >= 3 - 1e-9

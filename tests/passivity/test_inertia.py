@@ -71,6 +71,23 @@ def test_a_weight_without_sign_proves_nothing() -> None:
     assert missing_for_definiteness(Plant(system.system)) != ""
 
 
+@pytest.mark.parametrize("weight", [lambda q: ca.sin(q), lambda q: 1 + ca.sin(q), lambda q: ca.tanh(q) ** 2])
+def test_bounded_weights_that_vanish_somewhere_prove_no_growth(weight) -> None:  # type: ignore[no-untyped-def]
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    factors = [(ca.horzcat(ca.SX(1), ca.SX(0)), 1), (ca.horzcat(ca.SX(0), ca.SX(1)), weight(q[0]))]
+    plant = Plant(Mechanical(q, p, M=factors, V=0, G=[1, 0]).system)
+    assert missing_for_definiteness(plant) != ""
+    assert missing_for_growth(plant) != ""
+
+
+def test_an_inertia_that_is_given_as_a_matrix_must_be_bounded_too() -> None:
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    for entry, missing in ((1 + q[1] ** 2, "M(q) is not bounded"), (2 + ca.sin(q[1]), "")):
+        plant = Plant(Mechanical(q, p, M=[[entry, 0], [0, 1]], V=0, G=[1, 0]).system)
+        assert missing_for_definiteness(plant) == ""
+        assert missing_for_growth(plant) == missing
+
+
 def test_an_unbounded_factor_is_definite_but_not_bounded() -> None:
     q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
     factors = [(ca.SX.eye(2), 1), (ca.horzcat(ca.SX(1), q[0]), 1)]

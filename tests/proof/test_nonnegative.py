@@ -308,6 +308,22 @@ def test_a_matrix_that_touches_zero_is_semidefinite_and_not_definite():
     assert not _semidefinite([[1, A], [A, A**2 - 1e-9]])
 
 
+def test_a_dominant_diagonal_exceeds_what_is_beside_it():
+    c, d = ca.cos(A), ca.sin(B)
+    assert _definite([[1.001, c], [c, 1.001]])
+    assert _definite([[2.1, c, d], [c, 2, 0], [d, 0, 2]])
+    for rows in (
+        [[1, c], [c, 1]],
+        [[2, c + d], [c + d, 2]],
+        [[1, c, d], [c, 2, 0], [d, 0, 1]],
+        [[1.5, 2 * c], [2 * c, 1.5]],
+        [[0, 0], [0, 1]],
+        [[-1, 0], [0, 1]],
+        [[1, A], [A, 5]],
+    ):
+        assert not _definite(rows), rows
+
+
 def test_the_empty_matrix_and_the_zero_matrix():
     assert semidefinite([])
     assert definite([])

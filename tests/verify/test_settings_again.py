@@ -16,6 +16,7 @@ from pbcgen import AffineSystem, Design, DynamicExtension, Limits, load
 from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.proof.claim import Status
+from pbcgen.reading import settings
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.spectra import all_stable, inverse, zero_order_hold
 from pbcgen.symbolic.plain.values import Dual, partial, plain, variables
@@ -256,3 +257,10 @@ def test_slopes_of_inverse_and_exponential():
 
 def _held(A, B, h):
     return expm(np.block([[A, B], [np.zeros((1, 4))]]) * h)
+
+
+def test_the_continuous_and_the_sampled_loop_must_both_be_stable(monkeypatch):
+    document, _ = _document("a target at the limit")
+    for stable, outcome in (((True, True), "checked"), ((True, False), "fails"), ((False, True), "fails")):
+        monkeypatch.setattr(settings, "all_stable", lambda middle, over, widths, discrete, s=stable: s[discrete])
+        assert outcomes(document)[ADJUSTABLE] == outcome, stable
