@@ -53,7 +53,9 @@ def conserved(plant: Plant) -> list[list[fmpq]]:
 
 def written(plant: Plant, c: Sequence[fmpq]) -> str:
     """A conserved function in the names of the states."""
-    return " + ".join(f"{text(v)}*{name}" for v, name in zip(c, plant.system.state_names, strict=True) if v != 0)
+    terms = [(v, name) for v, name in zip(c, plant.system.state_names, strict=True) if v != 0]
+    shown = " + ".join(name if v == 1 else f"{text(v)}*{name}" for v, name in terms)
+    return shown.replace("+ -1*", "- ").replace("+ -", "- ")
 
 
 def stable_on_leaves(situation: Situation, missing: Sequence[str]) -> Claim | None:

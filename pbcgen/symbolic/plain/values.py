@@ -119,7 +119,7 @@ _SLOPES: dict[str, Callable[[Any, Any], Any]] = {
     "asin": lambda a, v: 1 / apply("sqrt", 1 - a * a),
     "acos": lambda a, v: -1 / apply("sqrt", 1 - a * a),
     "asinh": lambda a, v: 1 / apply("sqrt", a * a + 1),
-    "acosh": lambda a, v: 1 / apply("sqrt", a * a - 1),
+    "acosh": lambda a, v: 1 / apply("sqrt", a - 1) / apply("sqrt", a + 1),
     "atanh": lambda a, v: 1 / (1 - a * a),
     "fabs": _direction,
 }
