@@ -15,12 +15,14 @@ from pbcgen.control.situation import Situation
 from pbcgen.models.gains import Vector
 from pbcgen.models.laws import Integral
 from pbcgen.passivity.region import Region
-from pbcgen.proof.newton import Search, find_zeros, float_newton, krawczyk, polish
+from pbcgen.proof.newton import Search, find_zeros, float_newton, krawczyk, polish, sizes_of
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, ball, is_finite, precision, rational, sign
 from pbcgen.symbolic.tape import Tape
 
 #: Starts of the search for other equilibria.
 _STARTS = 30
+#: More of them, where the units of the unknowns are far from one.
+_FAR = 15
 #: Other equilibria are not searched for in systems with more states; of mechanical systems the positions count.
 _LARGEST_SEARCH = 12
 
@@ -75,6 +77,13 @@ def other_rest(situation: Situation) -> list[Real] | None:
     turned = star + np.pi * np.eye(len(star))[: free if still else 0]  # an arm with one link upside down
     likely = Search(star - spread, star + spread, tuple(settled(z) for z in turned), 0)
     around = Search(star - spread, star + spread, _with_gamma_kept(situation, star, free), _STARTS)
+    wide = _in_units(situation, star, sizes_of(evaluate(star)[1])[1], free)
+    searches = [likely, around] if still else [around]
+    if not 1e-3 < np.max((wide / spread)[:free]) < 10:  # the starts around x* are of sizes between
+        generator = np.random.default_rng(1)
+        offsets = [generator.uniform(-1.0, 1.0, len(star)) * wide * 10.0 ** -(k % 3) for k in range(_FAR)]
+        starts = tuple(settled(star + offset) for offset in offsets)
+        searches.append(Search(star - 100 * wide, star + 100 * wide, starts, 0))
     tape = Tape.of([*plant.symbols, at_star, psi], [residual, jacobian])
     parameters: list[Real] = [rational(v) for v in plant.parameter_values]
 
@@ -89,8 +98,8 @@ def other_rest(situation: Situation) -> list[Real] | None:
         return sorted(find_zeros(evaluate, search), key=lambda z: float(np.linalg.norm(z - star)))
 
     with precision(BITS):
-        for zero in chain.from_iterable(map(zeros, (likely, around) if still else (around,))):
-            if np.max(np.abs(zero[:free] - star[:free])) < 1e-6 * (1 + np.max(np.abs(star[:free]))):
+        for zero in chain.from_iterable(map(zeros, searches)):
+            if np.max(np.abs(zero - star)[:free] / np.minimum(wide, spread)[:free]) < 1e-7:
                 continue
             centre = polish(in_balls, list(zero))
             balls = None if centre is None else krawczyk(in_balls, centre)
@@ -111,6 +120,21 @@ def _is_state(situation: Situation, x: list[Real], u: list[Real]) -> bool:
     below = all(lo is None or sign(v - rational(lo)) in (0, 1) for v, (lo, _) in zip(x, bounds, strict=True))
     above = all(hi is None or sign(rational(hi) - v) in (0, 1) for v, (_, hi) in zip(x, bounds, strict=True))
     return below and above and is_finite(plant.walk(plant.tape(plant.system.S), x, u)[0][0][0])
+
+
+def _in_units(
+    situation: Situation, star: NDArray[np.float64], columns: NDArray[np.float64], free: int
+) -> NDArray[np.float64]:
+    """How far to look, in the units of each unknown: some lengths over which a tanh saturates, and x* itself.
+
+    ``columns`` say how large changes of the unknowns are beside each other.
+    """
+    plant, (_, beta, _) = situation.plant, situation.gains
+    (slope,) = plant.at(situation.point, ca.densify(ca.jacobian(situation.gamma, plant.system.x[:free])))
+    N = np.array([[approximate(v) for v in row] for row in slope])
+    steep = np.max(np.abs(N) * np.array([[float(b)] for b in beta]), axis=0, initial=0.0)
+    reached = [columns[j] / steep[j] for j in range(free) if np.isfinite(steep[j]) and steep[j] > 0]
+    return np.asarray(10.0 * max([*reached, *(np.abs(star) * columns)[:free]], default=1.0) / columns)
 
 
 def _with_gamma_kept(situation: Situation, star: NDArray[np.float64], free: int) -> tuple[NDArray[np.float64], ...]:

@@ -12,6 +12,7 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Design
 from pbcgen.models.target import Condition
 from pbcgen.passivity.plant import Plant, Point
+from pbcgen.proof.newton import sizes_of
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.linear import reduce_rows
 from pbcgen.symbolic.real import approximate, rational
@@ -75,10 +76,13 @@ def best_point(plant: Plant, design: Design) -> Point:
 
 
 def greedy_rows(matrix: NDArray[np.float64]) -> list[int]:
-    """Row indices that raise the rank, by Gram-Schmidt on rows of unit length."""
+    """Row indices that raise the rank, by Gram-Schmidt on rows of unit length, in units in which columns are alike."""
     basis: list[NDArray[np.float64]] = []
     chosen = []
-    for i, row in enumerate(matrix):
+    with np.errstate(all="ignore"):
+        rows, columns = sizes_of(matrix)
+        scaled = matrix / rows[:, None] / columns
+    for i, row in enumerate(scaled):
         length = np.linalg.norm(row)
         if not np.isfinite(length) or length == 0:
             continue

@@ -30,34 +30,50 @@ class Search:
 
 
 def float_newton(system: FloatSystem, start: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Newton's method with step halving in double precision; None if it does not settle."""
+    """Newton's method with step halving in double precision; None if it does not settle.
+
+    Equations and unknowns are brought to one size by the Jacobian at the start, so that units do not matter.
+    """
     z = start.astype(float)
     with np.errstate(all="ignore"):
         value, jacobian = system(z)
-        norm = float(np.linalg.norm(value))
+        rows, columns = sizes_of(jacobian)
+        norm = float(np.linalg.norm(value / rows))
         for _ in range(80):
             # LAPACK may not return from a least-squares problem with entries that are not finite.
             if not (np.isfinite(norm) and np.all(np.isfinite(jacobian))):
                 return None
             try:
-                step = -np.linalg.lstsq(jacobian, value, rcond=None)[0]
+                scaled = -np.linalg.lstsq(jacobian / rows[:, None] / columns, value / rows, rcond=None)[0]
             except np.linalg.LinAlgError:
                 return None
-            if np.linalg.norm(step) <= 1e-13 * (1e-3 + np.linalg.norm(z)):
+            step, size = scaled / columns, np.linalg.norm(z * columns)
+            if np.linalg.norm(scaled) <= 1e-13 * (1e-3 + size):
                 return np.asarray(z + step)
             for halving in range(40):
                 candidate = z + step * 0.5**halving
                 new_value, new_jacobian = system(candidate)
-                new_norm = float(np.linalg.norm(new_value))
+                new_norm = float(np.linalg.norm(new_value / rows))
                 if np.isfinite(new_norm) and new_norm < norm * (1 - 1e-4 * 0.5**halving):
                     break
             else:
-                settled = np.linalg.norm(step) <= 1e-9 * (1e-3 + np.linalg.norm(z))
+                settled = np.linalg.norm(scaled) <= 1e-9 * (1e-3 + size)
                 return np.asarray(z) if settled else None
             z, value, jacobian, norm = candidate, new_value, new_jacobian, new_norm
             if norm == 0:
                 return np.asarray(z)
     return None
+
+
+def sizes_of(jacobian: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Powers of two that rows and columns are divided by so that the largest entries of each are about one."""
+
+    def power(sizes: NDArray[np.float64]) -> NDArray[np.float64]:
+        usable = np.isfinite(sizes) & (sizes > 0)
+        return np.asarray(2.0 ** np.round(np.log2(np.where(usable, sizes, 1.0))))
+
+    rows = power(np.max(np.abs(jacobian), axis=1, initial=0.0))
+    return rows, power(np.max(np.abs(jacobian) / rows[:, None], axis=0, initial=0.0))
 
 
 def find_zeros(system: FloatSystem, search: Search) -> list[NDArray[np.float64]]:
