@@ -77,7 +77,9 @@ def named_numbers(
         else:
             operation = ca.OP_POW if operation == ca.OP_CONSTPOW else operation
             below = operation == ca.OP_DIV and isinstance(operands[0], ca.SX)
-            work[place] = ca.SX.binary(operation, numbers.operand(operands[0]), numbers.operand(operands[1], below))
+            base = operation == ca.OP_POW  # the logarithm of a base is in the derivative
+            left = numbers.operand(operands[0], always=base)
+            work[place] = ca.SX.binary(operation, left, numbers.operand(operands[1], below))
     return (results, numbers.parameters) if numbers.changed else (list(values), parameters)
 
 
@@ -99,12 +101,12 @@ class _Numbers:
         self.label, self.parameters, self.taken, self.changed = label, parameters, taken, False
         self._named: dict[Fraction, ca.SX] = {}
 
-    def operand(self, entry: ca.SX | float, below: bool = False) -> ca.SX:
+    def operand(self, entry: ca.SX | float, below: bool = False, always: bool = False) -> ca.SX:
         """An expression, or what stands for a number; ``below`` a fraction line a third is one, which is not short."""
         if isinstance(entry, ca.SX) or not math.isfinite(entry):
             return ca.SX(entry)
         value = as_written(entry)
-        if is_short(value) and not (below and value and not is_short(1 / value)):
+        if not always and is_short(value) and not (below and value and not is_short(1 / value)):
             self.changed |= float(value) != entry
             return ca.SX(float(value))
         if abs(value) not in self._named:

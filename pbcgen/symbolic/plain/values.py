@@ -141,8 +141,11 @@ def power(a: Any, b: Any) -> Any:
     """``a**b``: by products and a square root if 2b is an integer, else ``exp(b log(a))``."""
     b = b.value if isinstance(b, Dual) and not b.slope else b
     exponent = b.number() if isinstance(b, Function) else b
-    if not isinstance(exponent, fmpq) or exponent.q > 2:
+    if not isinstance(exponent, fmpq):
         return apply("exp", apply("log", a) * b)
+    if exponent.q > 2:  # with a fraction below one, so that a**2.7 is a a**1.7
+        whole = fmpq(int(exponent.p) // int(exponent.q))
+        return power(a, whole) * apply("exp", apply("log", a) * (exponent - whole))
     base = a if exponent.q == 1 else apply("sqrt", a)
     result = prod([base] * abs(int(exponent.p)), start=fmpq(1))
     return 1 / result if exponent < 0 else result
