@@ -59,8 +59,7 @@ class Stability(Assumptions):
             self.once(self.proved_gradient_condition)
         H = self.hessian_d if "passive-output" in self.law else self.hessian_dc
         wide = [row + [fmpq(0)] * (len(H) - self.n) for row in C]
-        held = plus(H, product(transpose(wide), wide), rational(witness["weight"]))
-        require(is_definite(held), "there may be no minimum at x*")
+        require(is_definite(plus(H, product(transpose(wide), wide), rational(witness["weight"]))), "no minimum")
 
     @cached_property
     def is_hurwitz(self) -> bool | None:

@@ -51,14 +51,11 @@ class Elimination:
         values = self.solved if values is None else values
         if not a.used & values.keys():
             return a
-        pool, bottoms = self.field.pool, [a.bottom, *(v.bottom for v in values.values())]
-        if not any(a.top.degrees()[:pool]) and all(
-            bottom.is_constant() for bottom in bottoms
-        ):  # without atoms, as it is
+        pool, whole = self.field.pool, all(f.bottom.is_constant() for f in (a, *values.values()))
+        if whole and not any(a.top.degrees()[:pool]):  # polynomials, without atoms
             put = {pool + k: v.top / v.bottom for k, v in values.items()}
-            return self.field.quotient(
-                a.top.compose(*[put.get(k, g) for k, g in enumerate(self.field.generators)]), a.bottom
-            )
+            inside = [put.get(k, g) for k, g in enumerate(self.field.generators)]
+            return self.field.quotient(a.top.compose(*inside), a.bottom)
         return self.field.lift(put_in(self.field, a, [values.get(k, v) for k, v in enumerate(self.field.symbols)]))
 
     def derive(self, source: int) -> None:

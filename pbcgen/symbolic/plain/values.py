@@ -360,8 +360,8 @@ class Field:
         if len(a) > _MOST_FACTORED:
             return 0
         for k in (k for k, degree in enumerate(a.degrees()) if degree == 2):  # complete the square
-            r, b, c = (self._coefficient(a, k, degree) for degree in range(3))
-            if (side := self.everywhere(c)) and self.everywhere(4 * c * r - b * b) == 1:
+            slope, bend = a.derivative(k), a.derivative(k).derivative(k)
+            if (side := self.everywhere(bend)) and self.everywhere(2 * bend * a - slope * slope) == 1:
                 return side
             break
         content, factors = a.factor() if len(a) > 1 else (0, [])
@@ -369,11 +369,6 @@ class Field:
             return 0
         signs = [self.everywhere(factor) ** int(times) for factor, times in factors]
         return int(prod(signs, start=1 if content > 0 else -1))
-
-    def _coefficient(self, a: fmpq_mpoly, k: int, degree: int) -> fmpq_mpoly:
-        """What a power of generator k is multiplied with."""
-        terms = {es: c for es, c in a.to_dict().items() if es[k] == degree}
-        return self.ctx.from_dict({(*es[:k], 0, *es[k + 1 :]): c for es, c in terms.items()})
 
     def positive(self, a: Function) -> bool:
         """Whether a function is certainly positive everywhere."""
