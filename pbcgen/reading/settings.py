@@ -18,10 +18,8 @@ from pbcgen.symbolic.plain.spectra import all_stable, inverse, krawczyk
 from pbcgen.symbolic.plain.values import Dual, Field, partial, plain, sign, variables
 
 #: What is kept of a design once it is known, and is another at another x*.
-_AT_X_STAR = (
-    *("star", "gamma", "stiffness", "shaped", "hessian_d", "hessian_dc", "plant", "controller"),
-    *("continuous", "sampled", "is_hurwitz", "is_schur"),
-)
+_AT_X_STAR = ["star", "gamma", "stiffness", "shaped", "hessian_d", "hessian_dc", "plant", "controller"]
+_AT_X_STAR += ["continuous", "sampled", "is_hurwitz", "is_schur"]
 #: Newton's steps from the start of an unknown, and what a box around it is wider than its values.
 _STEPS, _LEAST = 12, fmpq(1, 10**60)
 #: In the words of a domain, numbers have six digits.
@@ -166,8 +164,7 @@ class Family(Sums):
         found = re.findall(r"(\S+) in \[([^,]+), ([^\]]+)\]", self.domain[claim])
         names = [name for name, _, _, _ in self.model.settings]
         if not found and self.status[claim] == "REFUTED":
-            targets = [name for name, entry, _, _ in self.model.settings if entry is None]
-            return bool(self.domain[claim] == ", ".join(targets))
+            return bool(self.domain[claim] == ", ".join(name for name, k, _, _ in self.model.settings if k is None))
         labels = [name if names.count(name) == 1 else f"{name}_{(k or 0) + 1}" for name, k, _, _ in self.model.settings]
         numbers = [rational(end) for _, *ends in found for end in ends], [end for ends in self.box for end in ends]
         same = [name for name, *_ in found] == labels

@@ -75,8 +75,7 @@ class System:
         if not self.inertia:
             return False
         M = self.mass(self.field.symbols, self.field.lift)
-        pairs = [(a, b) for row, column in zip(M, transpose(M), strict=True) for a, b in zip(row, column, strict=True)]
-        self.zero([self.field.lift(a) - b for a, b in pairs], "M is not symmetric")
+        self.zero([v for row in plus(M, transpose(M), -1) for v in row], "M is not symmetric")
         found = solves(self.model.formulas, self.inertia, self.velocities)
         require(found and 2 * len(self.inertia) == self.n, "the velocities are not M^-1 p")
         require(not {*self.states[self.half :]} & {*self.model.domain}, "the momenta are restricted")

@@ -134,7 +134,7 @@ def test_the_derivative_of_a_modulus_is_known_where_a_factor_vanishes_with_it():
         (v,) = variables([at], 2)
         found = v * apply("fabs", v)
         assert plain(partial(found, 0)) == slope
-    assert not plain(partial(partial(found, 0), 0)).is_finite() or at != 0
+    assert plain(partial(partial(found, 0), 0)) == 2
     (v,) = variables([fmpq(0)], 2)
     assert not plain(partial(partial(v * apply("fabs", v), 0), 0)).is_finite()
     for kink in (apply("fabs", v), v + apply("fabs", v), apply("fabs", v * fmpq(1, 10**300))):

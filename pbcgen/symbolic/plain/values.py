@@ -77,19 +77,17 @@ def apply(name: str, *values: Any) -> Any:
     (a,) = values
     if isinstance(a, Value):
         return a.function(name)
-    known = _known(name, a if isinstance(a, fmpq) else None)
+    known = _known(name, a)
     return getattr(arb, name)(arb(a)) if known is None else known
 
 
-def _known(name: str, a: fmpq | None) -> fmpq | None:
-    """The value of a function at a rational where that is known to be rational too."""
-    if a is None:
-        return None
+def _known(name: str, a: Any) -> fmpq | None:
+    """The value of a function at a number, if that is known to be rational."""
     if a == 0 and name in AT_ZERO:
         return fmpq(AT_ZERO[name])
     if name == "log" and a == 1:
         return fmpq(0)
-    if name == "sqrt" and a > 0:
+    if name == "sqrt" and isinstance(a, fmpq) and a > 0:
         root = fmpq(fmpz(a.p).isqrt(), fmpz(a.q).isqrt())
         return root if root * root == a else None
     return None
@@ -102,9 +100,10 @@ def _direction(a: Any, modulus: Any) -> Any:
     """
     if isinstance(a, Function):
         return a.field.quotient(modulus.top * a.bottom, modulus.bottom * a.top)
-    if isinstance(a, Dual):
-        return Dual(_direction(a.value, plain(modulus)), dict.fromkeys(a.slope, arb("nan")))
-    return fmpq(sign(a) or 0) or arb(0, arb(2) ** 10**9)
+    if sign(plain(a)) in (1, -1):
+        return fmpq(sign(plain(a)))
+    inner = dict.fromkeys(a.slope if isinstance(a, Dual) else (), arb("nan"))
+    return Dual(_direction(a.value, modulus), inner) if inner else arb(0, arb(2) ** 10**9)
 
 
 #: The derivative of each function, from its argument a and its value v.
