@@ -23,6 +23,8 @@ from pbcgen.symbolic.tape import Operation, Tape
 #: Places of states in their domains, without special meaning.
 WEIGHTS = (Fraction(3, 7), Fraction(5, 11), Fraction(2, 9), Fraction(7, 13), Fraction(4, 17))
 _POINTS = 3
+#: Of a difference quotient; its square is far below the last digit of a double.
+_STEP = rational(Fraction(1, 2**100))
 
 
 def gradient_by_construction(system: AffineSystem) -> bool:
@@ -102,6 +104,27 @@ def _rounded(system: AffineSystem, mechanics: Mechanics) -> bool:
             if any(sign(v) in (1, -1) for v in values):
                 return True
     return not seen
+
+
+def derivative_is_rounded(system: AffineSystem) -> bool:
+    """Whether CasADi's derivative of S holds a number that is rounded, as 2/sqrt(pi) in that of erf.
+
+    S itself is compared with it, along a line through a point in general position and to many more digits than a double
+    has; what is not defined there is not judged.
+    """
+    tape = _tape(system, system.S, ca.gradient(system.S, system.x))
+    parameters = reals([system.parameters.values[name] for name in system.parameters.names])
+    x = [general_position(system, k) for k in range(system.n)]
+    d = [general_position(system, k, 1) - general_position(system, k, 2) for k in range(system.n)]
+    with precision(BITS):
+        walks = [
+            tape.walk(REAL, [[a + s * b for a, b in zip(x, d, strict=True)], [ZERO] * system.m, parameters])
+            for s in (_STEP, -_STEP, ZERO)
+        ]
+        above, below = (walk[0].scalar(ZERO) for walk in walks[:2])
+        parts = [a * b for a, b in zip(walks[2][1].column(ZERO), d, strict=True)]
+        gap, size = (above - below) / (2 * _STEP) - sum(parts, ZERO), sum(map(abs, parts), ZERO)
+        return is_finite(gap) and is_finite(size) and sign(abs(gap) - size * _STEP) == 1
 
 
 def general_position(system: AffineSystem, k: int, shift: int = 0) -> Real:

@@ -13,6 +13,7 @@ from fractions import Fraction
 import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.passivity.construction import derivative_is_rounded
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.region import Region, search, undefined
 from pbcgen.passivity.smooth import smooth_forms
@@ -67,12 +68,13 @@ def assumption_1(plant: Plant) -> Storage:
         evidence = "S contains a comparison, a rounding or a sign, so it may jump, and its derivative does not show it"
         hint = f"write a smooth storage: {smooth_forms(plant) or 'without comparisons and roundings'}"
         return Storage(Claim("assumption-1", Status.UNDECIDED, "all x", "operations of S", evidence, hint), None)
-    found = power_structure(plant) if plant.gradient_is_exact else None
+    rounded = derivative_is_rounded(plant.system)
+    found = power_structure(plant) if plant.gradient_is_exact and not rounded else None
     structure = found[0] if found else None
     whole = Region.whole(plant)
     if found is not None and found[1].complete:
         return _where_defined(plant, Storage(_by_structure(found[0], whole), found[0], by_structure=True))
-    power = _power(plant)
+    power = None if rounded else _power(plant)
     if power is not None and nonnegative(-power):
         evidence = "-grad S^T f is a sum of terms of known sign"
         return _where_defined(plant, Storage(_proved(whole, "exact algebra", evidence), structure))
@@ -81,6 +83,10 @@ def assumption_1(plant: Plant) -> Storage:
     if counterexample.point is not None:
         refuted = _refuted(plant, stated, counterexample)
         return Storage(_rounded(plant, refuted) if _is_rounding(plant, counterexample) else refuted, structure)
+    if rounded:
+        evidence = "CasADi has rounded a number in the derivative of S: f and grad S are known to 16 digits only"
+        hint = "declare the constants of the model with Parameters(...); for erf write tanh or atan"
+        return Storage(Claim("assumption-1", Status.UNDECIDED, "all x", "derivative of S", evidence, hint), None)
     for region in dict.fromkeys((whole, stated)):
         for claim in _attempts(plant, region, structure, power):
             storage = Storage(claim, structure, region=None if region.is_whole else region)

@@ -3,7 +3,7 @@
 import casadi as ca
 import pytest
 
-from pbcgen import AffineSystem, Parameters
+from pbcgen import AffineSystem, Mechanical, Parameters
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.storage import assumption_1
 from pbcgen.proof.claim import Status
@@ -58,3 +58,20 @@ def test_the_symmetric_part_of_a_factor_is_not_rounded(friction, status):
     f = [-(0.52 * x[0] ** 3 + 0.4 * x[0]) - 0.7 * x[1], -(0.13 * x[0] ** 3 + 0.1 * x[0]) - p.friction * x[1]]
     claim = assumption_1(Plant(AffineSystem(x, [ca.SX.sym("u")], f, [0, 1], S, parameters=p))).claim
     assert claim.status is status
+
+
+def _resting_at(V):
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    return assumption_1(Plant(Mechanical([q], [p], M=[1], V=V(q), D=[1], G=[1]).lower())).claim
+
+
+def test_the_logarithm_of_a_base_is_not_rounded():
+    assert _resting_at(lambda q: 2 * q**2 + 0.1 * 2**q).status is Status.PROVED
+    assert _resting_at(lambda q: 2 * q**2 + 3 ** (2 * q)).status is Status.PROVED
+
+
+def test_a_number_that_casadi_rounds_in_a_derivative_proves_nothing():
+    """The derivative of erf has the factor 2/sqrt(pi), to sixteen digits."""
+    claim = _resting_at(lambda q: 2 * q**2 + ca.erf(q))
+    assert claim.status is Status.UNDECIDED
+    assert "rounded a number" in claim.evidence
