@@ -98,7 +98,7 @@ def _conserved(situation: Situation) -> Claim | None:
         "near x*",
         "a conserved linear function, over the rationals",
         f"{shown} is constant along every trajectory, whatever the input",
-        "remove the conserved quantity from the model by eliminating a state",
+        f"eliminate a state: {shown} keeps the value that it starts with, so the others follow without it",
         {"conserved": shown},
     )
 

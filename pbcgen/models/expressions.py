@@ -61,12 +61,14 @@ def _row(row: Any, what: str) -> ca.SX:
 
 
 def shaped(value: Any, shape: tuple[int, int], what: str) -> ca.SX:
-    """``value`` as an SX matrix of this shape; a list stands for a column.
+    """``value`` as an SX matrix of this shape; a list stands for a column, and an empty one for any empty matrix.
 
     Raises:
         ModelError: with the expected and the given shape.
     """
     matrix = expression(value, what)
+    if matrix.numel() == 0 and 0 in shape:
+        return ca.SX(*shape)
     if matrix.shape != shape:
         given, expected = (f"{rows}x{columns}" for rows, columns in (matrix.shape, shape))
         raise ModelError(f"{what} must be {expected}, it is {given}")

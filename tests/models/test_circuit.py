@@ -139,3 +139,15 @@ def test_numbers_in_the_storage_elements_stay_exact():
     claims = {claim.claim: claim for claim in check(design).claims}
     assert claims["assumption-1"].status == "PROVED"
     assert claims["passive-output"].status == "PROVED"
+
+
+def test_an_empty_list_is_the_interconnection_of_a_network_of_one_kind():
+    a, b = ca.SX.sym("a"), ca.SX.sym("b")
+    system = Circuit([], [a, b], L=[], C=[1, 2], Gamma=[], i_G=[a - b, 2 * b - a], g_C=[1, 0]).lower()
+    assert (system.n, system.m) == (2, 1)
+
+
+def test_an_empty_list_is_no_interconnection_of_both_kinds():
+    i, v = ca.SX.sym("i"), ca.SX.sym("v")
+    with pytest.raises(ModelError, match="Gamma must be 1x1, it is 0x1"):
+        Circuit([i], [v], L=[1], C=[1], Gamma=[], v_R=[i], i_G=[v], g_L=[-1])
