@@ -199,7 +199,7 @@ def test_the_integral_law_is_never_called_global():
     claims = {c.claim: c for c in check(design).claims}
     claim = claims["globally-asymptotically-stable"]
     assert claim.status == "REFUTED"  # the filters leak: gravity holds the elbow at 4.15 or 5.27 rad, or a turn on
-    assert 4.1 < float(claim.counterexample["x"]["q2"])
+    assert float(claim.counterexample["x"]["q2"]) > 4.1
     assert isinstance(design.law, Integral)
 
 
