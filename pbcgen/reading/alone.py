@@ -12,7 +12,7 @@ from pbcgen.reading.system import require
 from pbcgen.symbolic.plain.boxes import Box, ball, covered
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.formulas import rational
-from pbcgen.symbolic.plain.matrices import Matrix, diagonal, is_definite, plus, product, symmetric, transpose
+from pbcgen.symbolic.plain.matrices import Matrix, diagonal, dot, is_definite, plus, product, symmetric, transpose
 from pbcgen.symbolic.plain.spectra import krawczyk, preconditioned, stable
 from pbcgen.symbolic.plain.values import NotCheckable, apply, power, sign
 
@@ -78,11 +78,14 @@ class Alone(Growth):
         return require(arb(self.walk(state)["S"][0][0]).is_finite(), "the storage is not defined there")
 
     def _outgrows(self, rate: fmpq) -> None:
-        """f and g u are linear, and f grows at more than a rate in some direction, while the inputs are bounded."""
+        """f is ``A x`` and what is bounded, A grows at more than a rate in some direction; so is g u: g is constant."""
         require(rate >= 0 and not self.compensated and not self.model.domain, "the inputs may be large, or states not")
-        A = [[v.number() for v in slopes(self.field, a)[: self.n]] for a in self.column("f")]
-        if not self.model.is_constant("g") or any(v is None for row in A for v in row):
-            raise NotCheckable("the plant is not linear")
+        f, size = self.column("f"), range(self.field.pool + len(self.field.symbols))
+        units = [tuple(int(j == self.field.pool + k) for j in size) for k in range(self.n)]
+        A = [[a.top.to_dict().get(unit, fmpq(0)) for unit in units] for a in f]
+        rest = [a - dot(row, self.field.symbols[: self.n]) for a, row in zip(f, A, strict=True)]
+        if not self.model.is_constant("g") or not all(map(self.field.bounded, rest)):
+            raise NotCheckable("the plant is not linear but for what is bounded")
         shifted = plus(A, diagonal([rate] * self.n), -1)
         require(stable(shifted, False) is False, "no mode certainly grows so fast")
 

@@ -57,3 +57,22 @@ def test_a_loop_without_the_sensors_of_its_law_is_none():
     document = json.loads(json.dumps(certificate(derive(design))))
     assert {e["claim"]: e["status"] for e in document["claims"]}["measurability"] == "REFUTED"
     assert _believed(document, "PROVED") == set()
+
+
+@pytest.mark.parametrize(
+    ("drift", "outcome"),
+    [
+        (lambda x: x + ca.tanh(x), "checked"),  # linear but for what is bounded
+        (lambda x: x - x**3, "recorded"),
+        (lambda x: x / 4, "fails"),  # it grows more slowly than that
+        (lambda x: -x, "fails"),
+    ],
+)
+def test_bounded_inputs_do_not_hold_what_grows_beyond_them(drift, outcome):
+    document = json.loads(json.dumps(certificate(derive(_design(drift, DynamicExtension(2, 3, 5, 1))))))
+    for entry in document["claims"]:
+        if entry["claim"] == "globally-asymptotically-stable":
+            entry |= {"status": "REFUTED", "domain": "all x", "witness": {"growth": "1/2"}}
+        elif entry["claim"] == "asymptotically-stable":
+            entry |= {"status": "UNDECIDED"}
+    assert outcomes(signed(document))["globally-asymptotically-stable"] == outcome
