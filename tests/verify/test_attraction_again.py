@@ -4,7 +4,7 @@ import copy
 
 import pytest
 from certificates import outcomes, signed
-from test_witnesses import GLOBAL, LOCAL, document_of, with_witness, witness
+from documents import GLOBAL, LOCAL, document_of, with_witness, witness
 
 pytestmark = pytest.mark.system
 
