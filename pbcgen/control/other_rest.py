@@ -134,7 +134,8 @@ def _in_units(
     N = np.array([[approximate(v) for v in row] for row in slope])
     steep = np.max(np.abs(N) * np.array([[float(b)] for b in beta]), axis=0, initial=0.0)
     reached = [columns[j] / steep[j] for j in range(free) if np.isfinite(steep[j]) and steep[j] > 0]
-    return np.asarray(10.0 * max([*reached, *(np.abs(star) * columns)[:free]], default=1.0) / columns)
+    sizes = [*reached, *(float(v) for v in (np.abs(star) * columns)[:free] if np.isfinite(v) and v > 0)]
+    return np.asarray(10.0 * max(sizes, default=1.0) / columns)
 
 
 def _with_gamma_kept(situation: Situation, star: NDArray[np.float64], free: int) -> tuple[NDArray[np.float64], ...]:
