@@ -78,13 +78,13 @@ class Alone(Growth):
         return require(arb(self.walk(state)["S"][0][0]).is_finite(), "the storage is not defined there")
 
     def _outgrows(self, rate: fmpq) -> None:
-        """f is ``A x`` and what is bounded, A grows at more than a rate in some direction; so is g u: g is constant."""
+        """f is ``A x`` and what is bounded, as g u is; and A grows at more than a rate in some direction."""
         require(rate >= 0 and not self.compensated and not self.model.domain, "the inputs may be large, or states not")
         f, size = self.column("f"), range(self.field.pool + len(self.field.symbols))
         units = [tuple(int(j == self.field.pool + k) for j in size) for k in range(self.n)]
         A = [[a.top.to_dict().get(unit, fmpq(0)) for unit in units] for a in f]
         rest = [a - dot(row, self.field.symbols[: self.n]) for a, row in zip(f, A, strict=True)]
-        if not self.model.is_constant("g") or not all(map(self.field.bounded, rest)):
+        if not all(map(self.field.bounded, [*rest, *(v for row in self.functions("g") for v in row)])):
             raise NotCheckable("the plant is not linear but for what is bounded")
         shifted = plus(A, diagonal([rate] * self.n), -1)
         require(stable(shifted, False) is False, "no mode certainly grows so fast")
