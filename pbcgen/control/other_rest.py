@@ -5,6 +5,7 @@ Only those count at which the model is stated and its storage defined: formulas 
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from itertools import chain
 
 import casadi as ca
@@ -21,6 +22,8 @@ from pbcgen.symbolic.tape import Tape
 
 #: Starts of the search for other equilibria.
 _STARTS = 30
+#: How far they are, as shares of what is looked at, in turn.
+_SHARES = (1.0, 0.5, 0.25, 0.02)
 #: More of them, where the units of the unknowns are far from one.
 _FAR = 15
 #: Other equilibria are not searched for in systems with more states; of mechanical systems the positions count.
@@ -74,16 +77,21 @@ def other_rest(situation: Situation) -> list[Real] | None:
     spread = np.full(len(star), 10.0)
     if isinstance(situation.law, Integral):
         spread[held:] /= [float(b) for b in situation.law.beta_psi]  # tanh is flat beyond
-    turned = star + np.pi * np.eye(len(star))[: free if still else 0]  # an arm with one link upside down
-    likely = Search(star - spread, star + spread, tuple(settled(z) for z in turned), 0)
-    around = Search(star - spread, star + spread, _with_gamma_kept(situation, star, free), _STARTS)
     wide = _in_units(situation, star, sizes_of(evaluate(star)[1])[1], free)
-    searches = [likely, around] if still else [around]
-    if not 1e-3 < np.max((wide / spread)[:free]) < 10:  # the starts around x* are of sizes between
+
+    def around(size: NDArray[np.float64], reach: float, count: int, also: Sequence[NDArray[np.float64]] = ()) -> Search:
         generator = np.random.default_rng(1)
-        offsets = [generator.uniform(-1.0, 1.0, len(star)) * wide * 10.0 ** -(k % 3) for k in range(_FAR)]
-        starts = tuple(settled(star + offset) for offset in offsets)
-        searches.append(Search(star - 100 * wide, star + 100 * wide, starts, 0))
+        offsets = [generator.uniform(-1.0, 1.0, len(star)) * size * _SHARES[k % len(_SHARES)] for k in range(count)]
+        starts = tuple(settled(start) for start in (*also, *(star + offset for offset in offsets)))
+        return Search(star - reach * size, star + reach * size, starts, 0)
+
+    def searches() -> Iterator[Search]:
+        if still:
+            yield around(spread, 1.0, 0, tuple(star + np.pi * np.eye(len(star))[:free]))  # one link upside down
+        yield around(spread, 1.0, _STARTS, _with_gamma_kept(situation, star, free))
+        if not 1e-3 < np.max((wide / spread)[:free]) < 10:  # the starts around x* are of sizes between
+            yield around(wide, 100.0, _FAR)
+
     tape = Tape.of([*plant.symbols, at_star, psi], [residual, jacobian])
     parameters: list[Real] = [rational(v) for v in plant.parameter_values]
 
@@ -98,7 +106,7 @@ def other_rest(situation: Situation) -> list[Real] | None:
         return sorted(find_zeros(evaluate, search), key=lambda z: float(np.linalg.norm(z - star)))
 
     with precision(BITS):
-        for zero in chain.from_iterable(map(zeros, searches)):
+        for zero in chain.from_iterable(map(zeros, searches())):
             if np.max(np.abs(zero - star)[:free] / np.minimum(wide, spread)[:free]) < 1e-7:
                 continue
             centre = polish(in_balls, list(zero))
