@@ -63,7 +63,7 @@ class _Star:
         u: list[Real] = [ZERO] * system.m if situation.compensation is not None else list(situation.point.u)
         self.symbols = [*ca.vertsplit(system.x), *ca.vertsplit(system.u)]
         self.places = [next(k for k, s in enumerate(self.symbols) if ca.is_equal(s, z)) for z in along.z]
-        self.plant, self.n, self.m = plant, system.n, system.m
+        self.n, self.m = system.n, system.m
         values = [*situation.point.x, *u]
         self.z = [values[k] for k in self.places]
         self.inputs = u
@@ -75,14 +75,14 @@ class _Star:
         residual = ca.vertcat(residual, along.zero)
         slopes = ca.densify(ca.jacobian(residual, ca.vertcat(*along.z)))
         self.tape = Tape.of([*plant.symbols, held], [residual, slopes])
+        self.parameters: list[Real] = [rational(v) for v in plant.parameter_values]
 
     def rest(self, z: list[Real]) -> tuple[list[Real], list[list[Real]]]:
         """The residual of (rest), what vanishes on the set, and their Jacobian."""
         values: list[Real] = [ZERO] * len(self.symbols)
         for place, value in zip(self.places, z, strict=True):
             values[place] = value
-        parameters: list[Real] = [rational(v) for v in self.plant.parameter_values]
-        inputs = [values[: self.n], values[self.n :], parameters, [*self.inputs, *self.outputs]]
+        inputs = [values[: self.n], values[self.n :], self.parameters, [*self.inputs, *self.outputs]]
         value, slopes = (matrix.dense(ZERO) for matrix in self.tape.walk(REAL, inputs))
         return [row[0] for row in value], slopes
 
