@@ -51,8 +51,9 @@ class Elimination:
         values = self.solved if values is None else values
         if not a.used & values.keys():
             return a
-        pool, whole = self.field.pool, all(f.bottom.is_constant() for f in (a, *values.values()))
-        if whole and not any(a.top.degrees()[:pool]):  # polynomials, without atoms
+        pool, bent = self.field.pool, a.top.total_degree() > 1
+        whole = bent and all(f.bottom.is_constant() for f in (a, *values.values()))
+        if whole and not any(a.top.degrees()[:pool]):  # polynomials of some degree, without atoms
             put = {pool + k: v.top / v.bottom for k, v in values.items()}
             inside = [put.get(k, g) for k, g in enumerate(self.field.generators)]
             return self.field.quotient(a.top.compose(*inside), a.bottom)
