@@ -130,7 +130,7 @@ def test_levels_of_two_tanks_give_a_passive_output_although_grad_S_is_no_polynom
 
 def test_a_population_that_an_input_feeds_has_the_logarithm_as_gamma():
     """``S = h - ln h``, ``h' = h (1 - h + u)``: the noise of semidefinite programming is no part of it."""
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     h, u = ca.SX.sym("h"), ca.SX.sym("u")
     system = AffineSystem([h], [u], [h * (1 - h)], [h], h - ca.log(h), domain={"h": ("0.1", 5)})
     plant = Plant(system)
