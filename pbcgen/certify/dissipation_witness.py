@@ -16,15 +16,15 @@ from pbcgen.passivity.dissipation import constant_part, is_diagonal, port_dampin
 from pbcgen.passivity.plant import Plant, columns, dot
 from pbcgen.passivity.region import Region
 from pbcgen.passivity.structure import PowerStructure
-from pbcgen.passivity.theta import SPARE, filter_gain, needed_damping, required
+from pbcgen.passivity.theta import SPARE, excess, filter_gain, needed_damping, required
 from pbcgen.proof.branch import Formula
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import positive_semidefinite
 from pbcgen.proof.sos import find as find_squares
 from pbcgen.proof.squares import Leaf, Square, decompose, decompose_matrix, of_programme
 from pbcgen.symbolic.field import Quotient
-from pbcgen.symbolic.real import Real, midpoint, rational
-from pbcgen.symbolic.real_matrices import RealMatrix, congruence, dense, diagonal, inverse, transpose
+from pbcgen.symbolic.real import Real, midpoint
+from pbcgen.symbolic.real_matrices import RealMatrix, congruence, dense, diagonal, inverse, transpose, weighted_sum
 from pbcgen.symbolic.tape import Tape
 
 #: Boxes for the formula of the model itself.
@@ -199,10 +199,7 @@ def carrying_damping(derivation: Derivation) -> RealMatrix | None:
         W = bounds.compliance
         return None if W is None or is_diagonal(W) or "x" in (claim.counterexample or {}) else inverse(W)
     enough = required(diagonal([1 / v for v in (*bounds.Lambda_l, *bounds.Lambda_c)]), law.Upsilon)
-    spare = [[fmpq(0) - v for v in row] for row in enough]
-    for i, k in enumerate(filter_gain(law)):
-        spare[i][i] = spare[i][i] + rational(k)
-    if positive_semidefinite(spare).status is Status.PROVED:
+    if positive_semidefinite(excess(filter_gain(law), enough)).status is Status.PROVED:
         return None
     touching = needed_damping(law)
     if not derivation.situation or not derivation.situation.damping_to_spare:
@@ -210,10 +207,7 @@ def carrying_damping(derivation: Derivation) -> RealMatrix | None:
     share = fmpq(1, 2000)  # half of what strictness leaves
     own = [*bounds.Lambda_l, *bounds.Lambda_c]
     more = needed_damping(law, SPARE)
-    mixed = [[(1 - share) * v for v in row] for row in more]
-    for i, v in enumerate(own):
-        mixed[i][i] = mixed[i][i] + share * v
-    return mixed
+    return weighted_sum([1 - share, share], [more, diagonal(own)])
 
 
 def theta_damping(derivation: Derivation, terms: Writing) -> Witness:

@@ -38,8 +38,9 @@ from pbcgen.models.laws import DynamicExtension, Integral, Law
 from pbcgen.proof.claim import Status
 from pbcgen.proof.cutting_planes import interior
 from pbcgen.proof.definite import positive_definite
-from pbcgen.symbolic.linear import Row, reduce_rows
+from pbcgen.symbolic.linear import Row, kernel
 from pbcgen.symbolic.real import approximate, fraction, rational
+from pbcgen.symbolic.real_matrices import as_floats, weighted_sum
 
 #: The method of the claim that this proves.
 METHOD = "absolute stability: sectors of the saturations and the S-procedure, definite forms over the rationals"
@@ -154,14 +155,7 @@ class _Loop:
             for key, c in part.items():
                 if len(key) != 2 and c != 0:
                     rows.setdefault(key, {})[k] = c
-        solved = reduce_rows(rows.values())
-        basis = []
-        for k in (k for k in range(len(parts)) if k not in solved):
-            vector = [fmpq(0)] * len(parts)
-            vector[k] = fmpq(1)
-            for p, row in solved.items():
-                vector[int(str(p))] = -row.get(k, fmpq(0))
-            basis.append(vector)
+        basis = kernel(rows.values(), len(parts), fmpq(0), fmpq(1))
         if not basis:
             return None
         P = [_symmetric({pair: v for pair, v in zip(pairs, vector, strict=False) if v}, order) for vector in basis]
@@ -172,8 +166,8 @@ class _Loop:
             signs = [sum((c * w[i] for c, w in zip(t, weights, strict=True)), fmpq(0)) for i in range(size)]
             if any(v < 0 for v in signs):
                 continue
-            chosen = _sum(P, t)
-            if all(positive_definite(matrix).status is Status.PROVED for matrix in (chosen, _sum(forms, t))):
+            chosen = weighted_sum(t, P)
+            if all(positive_definite(matrix).status is Status.PROVED for matrix in (chosen, weighted_sum(t, forms))):
                 return _Storage(chosen, signs[:m], signs[m : 2 * m], signs[2 * m :])
         return None
 
@@ -202,7 +196,7 @@ class _Loop:
     ) -> Iterator[list[fmpq]]:
         """Weights of the basis, from cutting planes in balanced coordinates."""
         scale = self._scales()
-        families = [np.array([_floats(M) for M in part]) for part in (P, forms)]
+        families = [np.array([as_floats(M) for M in part]) for part in (P, forms)]
         families = [f * np.outer(scale[: f.shape[1]], scale[: f.shape[1]]) for f in families]
         signs = np.array([[float(v.p) / float(v.q) for v in row] for row in weights])
         sizes = np.max(np.abs(families[1]), axis=(1, 2))
@@ -290,13 +284,3 @@ def _symmetric(entries: dict[tuple[int, ...], fmpq], size: int, halved: bool = F
     for (i, j), c in entries.items():
         matrix[i][j] = matrix[j][i] = c / 2 if halved and i != j else c
     return matrix
-
-
-def _sum(matrices: Sequence[_Matrix], weights: Sequence[fmpq]) -> _Matrix:
-    size = range(len(matrices[0]))
-    pairs = [(w, M) for w, M in zip(weights, matrices, strict=True) if w != 0]
-    return [[sum((w * M[i][j] for w, M in pairs), fmpq(0)) for j in size] for i in size]
-
-
-def _floats(matrix: _Matrix) -> _Array:
-    return np.array([[approximate(v) for v in row] for row in matrix])

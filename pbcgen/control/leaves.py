@@ -18,7 +18,7 @@ from pbcgen.passivity.plant import Plant, columns
 from pbcgen.passivity.shaping import extended_hessian, shape_at
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
-from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, kernel, particular_solution, reduce_rows
 from pbcgen.symbolic.real import BITS, ZERO, Real, approximate, precision, rational, text
 from pbcgen.symbolic.real_matrices import SparseRow, diagonal
 
@@ -40,15 +40,7 @@ def conserved(plant: Plant) -> list[list[fmpq]]:
         for i, entry in enumerate(column):
             for exponents, coefficient in (entry.numerator * (below / entry.denominator)).to_dict().items():
                 rows.setdefault((j, tuple(exponents)), {})[i] = coefficient
-    solved = reduce_rows(rows.values())
-    basis = []
-    for free in (k for k in range(system.n) if k not in solved):
-        c = [fmpq(0)] * system.n
-        c[free] = fmpq(1)
-        for pivot, solution in solved.items():
-            c[int(str(pivot))] = -solution.get(free, fmpq(0))
-        basis.append(c)
-    return basis
+    return kernel(rows.values(), system.n, fmpq(0), fmpq(1))
 
 
 def written(plant: Plant, c: Sequence[fmpq]) -> str:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Design
 from pbcgen.models.target import Condition
-from pbcgen.passivity.plant import Plant, Point
+from pbcgen.passivity.plant import Plant, Point, dot
 from pbcgen.proof.newton import sizes_of
 from pbcgen.symbolic.display import formula
-from pbcgen.symbolic.linear import reduce_rows
+from pbcgen.symbolic.linear import Row, kernel
 from pbcgen.symbolic.real import approximate, rational
 from pbcgen.symbolic.tape import exact_decimal
 
@@ -166,13 +166,10 @@ def _annihilated(plant: Plant, drift: ca.SX, inputs: ca.SX) -> list[str]:
         field, (f, g) = plant.exact(drift, inputs, symbolic=True, known=plant.numbers)
         zero = field.const(0)
         rest, rows = f.column(zero), g.dense(zero)
-        solved = reduce_rows([dict(enumerate(column)) for column in zip(*rows, strict=True)])
+        columns: list[Row] = [dict(enumerate(column)) for column in zip(*rows, strict=True)]
         equations = []
-        for free in (k for k in range(len(rest)) if k not in solved):
-            total = rest[free]
-            for pivot, row in solved.items():
-                if free in row:
-                    total = total - row[free] * rest[int(str(pivot))]
+        for weights in kernel(columns, len(rest), zero, field.const(1)):
+            total = dot(weights, rest, zero)
             if not total.is_zero():
                 text = formula(field.polynomial(total.numerator), plant.parameter_positions())
                 equations.append(f"{text} = 0")

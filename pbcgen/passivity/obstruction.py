@@ -25,7 +25,7 @@ from pbcgen.passivity.jets import jets_at, multipliers
 from pbcgen.passivity.plant import Plant, dot
 from pbcgen.passivity.prolongation import contradiction
 from pbcgen.symbolic.field import Field, Quotient
-from pbcgen.symbolic.linear import CONSTANT, Row, reduce_rows
+from pbcgen.symbolic.linear import CONSTANT, Row, kernel
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, is_finite, precision, rational, sign, text
 from pbcgen.symbolic.tape import Tape
 
@@ -158,17 +158,7 @@ def _for_input(plant: Plant, places: _Set, i: int) -> Obstruction | None:
 
 def _kernel(field: Field, matrix: list[list[Quotient]]) -> list[list[Quotient]]:
     """A basis of the kernel of a square matrix of functions."""
-    size = len(matrix)
-    solved = reduce_rows([dict(enumerate(row)) for row in matrix])
-    basis = []
-    for free in (k for k in range(size) if k not in solved):
-        vector = [field.const(0)] * size
-        vector[free] = field.const(1)
-        for pivot, row in solved.items():
-            if free in row:
-                vector[int(str(pivot))] = -row[free]
-        basis.append(vector)
-    return basis
+    return kernel([dict(enumerate(row)) for row in matrix], len(matrix), field.const(0), field.const(1))
 
 
 def _multipliers(
@@ -250,8 +240,8 @@ def _on_set(plant: Plant, loss: ca.SX, places: _Set) -> Obstruction | None:
     known = {system.state_names[k]: Fraction(0) for k in places.zero}
     field, (hessian,) = plant.exact(ca.hessian(loss, x)[0], known=known)
     directions = _kernel(field, hessian.dense(field.const(0)))
-    kernel = [ca.vertcat(*[plant.expression(entry) for entry in d]) for d in directions]
-    found = contradiction(plant, places.zero, places.free, kernel)
+    moves = [ca.vertcat(*[plant.expression(entry) for entry in d]) for d in directions]
+    found = contradiction(plant, places.zero, places.free, moves)
     if found is None:
         return None
     inverse = [1 / divisor for divisor in found.divisors]
@@ -259,7 +249,7 @@ def _on_set(plant: Plant, loss: ca.SX, places: _Set) -> Obstruction | None:
         "along states where nothing is lost, Z(x) >= 0 gives equations for the first and second derivatives of gamma "
         "that contradict each other"
     )
-    finite = [*(entry for d in kernel for entry in ca.vertsplit(d)), *inverse]
+    finite = [*(entry for d in moves for entry in ca.vertsplit(d)), *inverse]
     shown = _witness(plant, places, found.value, finite, reason)
     return None if shown is None else replace(shown, zero=places.zero, by_jets=True, along_losses=True)
 

@@ -15,7 +15,6 @@ from fractions import Fraction
 
 import casadi as ca
 import numpy as np
-from flint import fmpq
 from numpy.typing import NDArray
 
 from pbcgen.errors import UnsupportedOperation
@@ -27,9 +26,9 @@ from pbcgen.proof.definite import positive_definite, positive_semidefinite
 from pbcgen.symbolic.coefficients import Coefficients
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.field import Quotient
-from pbcgen.symbolic.linear import Row, reduce_rows
-from pbcgen.symbolic.real import Real, approximate, rational
-from pbcgen.symbolic.real_matrices import RealMatrix
+from pbcgen.symbolic.linear import Row, kernel
+from pbcgen.symbolic.real import rational
+from pbcgen.symbolic.real_matrices import RealMatrix, add, as_floats, multiply, transpose, weighted_sum
 
 #: Systems with more states, or more unknowns that are left, are not searched.
 _MOST_STATES, _MOST_FREE = 8, 40
@@ -84,20 +83,16 @@ class _Search:
     @staticmethod
     def of(plant: Plant, point: Point, unread: Sequence[int], diagonal: bool) -> _Search | None:
         """None where the equations leave no B, or too many."""
-        solved = _equations(plant, unread, diagonal)
-        if solved is None:
+        vectors = _solutions(plant, unread, diagonal)
+        if not 0 < len(vectors) <= _MOST_FREE:
             return None
         n = plant.system.n
-        free = [k for k in range(n * n) if k not in solved]
-        if not free or len(free) > _MOST_FREE:
-            return None
         basis = []
-        for k in free:
+        for vector in vectors:
             matrix = ca.SX(n, n)
-            matrix[k // n, k % n] = 1
-            for p, row in solved.items():
-                if k in row:
-                    matrix[int(str(p)) // n, int(str(p)) % n] = -plant.expression(row[k])
+            for k, v in enumerate(vector):
+                if not v.is_zero():
+                    matrix[k // n, k % n] = plant.expression(v)
             basis.append(matrix)
         field, exact = plant.exact(*basis)
         numbers = [[[entry.constant() for entry in row] for row in m.dense(field.const(0))] for m in exact]
@@ -123,32 +118,23 @@ class _Search:
             return OtherStorage(shown[0], tuple(shown[1:])) if sum(map(len, shown)) <= _LONGEST else None
         return None
 
-    def _combined(self, weights: Sequence[Fraction]) -> RealMatrix:
-        size = range(len(self.slope))
-        return [
-            [sum((rational(w) * m[i][j] for w, m in zip(weights, self.values, strict=True)), fmpq(0)) for j in size]
-            for i in size
-        ]
-
     def _serves(self, weights: Sequence[Fraction]) -> bool:
         """``sym B <= 0``, and ``hess S_d > 0`` at x* for alpha beta large enough."""
-        B, size = self._combined(weights), range(len(self.slope))
-        loss = [[-(B[i][j] + B[j][i]) for j in size] for i in size]
+        B = weighted_sum([rational(w) for w in weights], self.values)
+        loss = [[-v for v in row] for row in add(B, transpose(B))]
         if positive_semidefinite(loss).status is not Status.PROVED:
             return False
-        N = [[-sum((B[i][k] * self.inputs[k][j] for k in size), fmpq(0)) for j, _ in enumerate(row)]
-             for i, row in enumerate(self.inputs)]  # fmt: skip
-        if any(all(v == 0 for v in column) for column in zip(*N, strict=True)):
+        N = multiply(B, self.inputs)  # grad gamma, but for its sign
+        if any(all(v == 0 for v in column) for column in transpose(N)):
             return False
-        bent = [[sum((B[i][k] * self.slope[k][j] for k in size), fmpq(0)) for j in size] for i in size]
-        drawn = [[sum((a * b for a, b in zip(p, q, strict=True)), fmpq(0)) for q in N] for p in N]
-        hessian = [[(bent[i][j] + bent[j][i]) / 2 + drawn[i][j] for j in size] for i in size]
-        return positive_definite(hessian).status is Status.PROVED
+        bent, drawn = multiply(B, self.slope), multiply(N, transpose(N))
+        doubled = add(add(bent, transpose(bent)), add(drawn, drawn))
+        return positive_definite(doubled).status is Status.PROVED
 
     def _proposals(self) -> Iterator[list[Fraction]]:
         """Weights in simple fractions, from the optimum of a semidefinite programme (Kelley's cutting planes)."""
-        slope = _floats(self.slope)
-        matrices = [_floats(m) for m in self.values]
+        slope = as_floats(self.slope)
+        matrices = [as_floats(m) for m in self.values]
         losses = [-(m + m.T) / 2 for m in matrices]
         bends = [(m @ slope + (m @ slope).T) / 2 for m in matrices]
         scales = [max(float(np.max(np.abs(np.stack(part)))), 1e-300) for part in (losses, bends)]
@@ -164,8 +150,8 @@ class _Search:
                     yield weights
 
 
-def _equations(plant: Plant, unread: Sequence[int], diagonal: bool) -> dict[object, Row] | None:
-    """What a symmetric Jacobian of B f and of B g, and zeros of B g, ask of the entries of B, in echelon form."""
+def _solutions(plant: Plant, unread: Sequence[int], diagonal: bool) -> list[list[Quotient]]:
+    """A basis of the B, row by row, with symmetric Jacobians of B f and of B g, and zeros of B g where unread."""
     system = plant.system
     n = system.n
     jacobians = [ca.jacobian(v, system.x) for v in (system.f, *ca.horzsplit(system.g))]
@@ -181,7 +167,7 @@ def _equations(plant: Plant, unread: Sequence[int], diagonal: bool) -> dict[obje
     one = field.const(1)
     rows: dict[object, Row] = {k: {k: one} for k in range(n * n) if diagonal and k // n != k % n}
 
-    def add(place: object, unknown: int, parts: dict[tuple[int, ...], Quotient] | None, side: int) -> None:
+    def ask(place: object, unknown: int, parts: dict[tuple[int, ...], Quotient] | None, side: int) -> None:
         for monomial, value in (parts or {}).items():
             row = rows.setdefault((place, monomial), {})
             row[unknown] = row.get(unknown, zero) + (value if side > 0 else -value)
@@ -189,21 +175,17 @@ def _equations(plant: Plant, unread: Sequence[int], diagonal: bool) -> dict[obje
     for number, matrix in enumerate(slopes):
         parts = split(matrix.dense(zero))
         if parts is None:
-            return None
+            return []
         for i in range(n):
             for j in range(i + 1, n):
                 for k in range(n):
-                    add((number, i, j), i * n + k, parts[k][j], 1)
-                    add((number, i, j), j * n + k, parts[k][i], -1)
+                    ask((number, i, j), i * n + k, parts[k][j], 1)
+                    ask((number, i, j), j * n + k, parts[k][i], -1)
     inputs = split(g.dense(zero))
     if inputs is None:
-        return None
+        return []
     for i in unread:
         for j in range(system.m):
             for k in range(n):
-                add(("unread", i, j), i * n + k, inputs[k][j], 1)
-    return dict(reduce_rows(rows.values()))
-
-
-def _floats(matrix: Sequence[Sequence[Real]]) -> _Array:
-    return np.array([[approximate(v) for v in row] for row in matrix])
+                ask(("unread", i, j), i * n + k, inputs[k][j], 1)
+    return kernel(rows.values(), n * n, zero, one)

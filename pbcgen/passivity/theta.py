@@ -68,14 +68,14 @@ def theta(
         return ThetaVerdict(_without_bounds(law, port), None, None)
     W = compliance_of(bounds)
     bound, product = required(W, law.Upsilon), filter_gain(law)
-    verdict = positive_semidefinite(_excess(product, bound))
+    verdict = positive_semidefinite(excess(product, bound))
     smallest = eigenvalues(bound)[-1]
     given = ", ".join(f"{float(p):.6g}" for p in product)
     evidence = f"K_l R_l = {given}; sufficient and, for these Lambda, necessary: {smallest:.6g}"
     hint = f"raise K_l R_l to {smallest:.6g}"
     if verdict.status is Status.PROVED:
         claim = Claim("theta", Status.PROVED, bounds.claim.domain, _SCHUR, evidence)
-        strict = positive_definite(_excess(product, bound)).status is Status.PROVED
+        strict = positive_definite(excess(product, bound)).status is Status.PROVED
         return ThetaVerdict(claim, bound, smallest, strict)
     if bounds.tight:
         witness = _witness(W, law, verdict.witness or ())
@@ -153,7 +153,7 @@ def _too_weak(port: Port, found: Finding, hint: str) -> Claim:
     return Claim("theta", Status.REFUTED, port.region.text, _SEARCH, evidence, hint, witness)
 
 
-def _excess(product: Sequence[Fraction], bound: RealMatrix) -> RealMatrix:
+def excess(product: Sequence[Fraction], bound: RealMatrix) -> RealMatrix:
     """``K_l R_l - bound``."""
     return [[(rational(product[i]) if i == j else ZERO) - v for j, v in enumerate(row)] for i, row in enumerate(bound)]
 

@@ -29,7 +29,7 @@ from pbcgen.proof.known import BOUNDED_KINDS
 from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.proof.sos import sum_of_squares
 from pbcgen.symbolic.field import Field, Quotient
-from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
+from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, kernel, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO, Real, fraction, rational, sign
 from pbcgen.symbolic.real_matrices import RealMatrix
 from pbcgen.symbolic.terms import terms
@@ -320,16 +320,16 @@ def _on_kernel(
     kappa: Sequence[Real],
 ) -> Growth:
     """The linear growth on the kernel of the quadratic form."""
-    kernel = _kernel(form)
-    if not kernel:
+    basis = _kernel(form)
+    if not basis:
         return Growth(True, "the quadratic part of S is positive definite")
-    on_kernel = [[_dot(row, v) for v in kernel] for row in gammas]
+    on_kernel = [[_dot(row, v) for v in basis] for row in gammas]
     solved = reduce_rows([dict(enumerate(row)) for row in on_kernel])
-    if len(solved) < len(kernel):
+    if len(solved) < len(basis):
         return Growth(False, "there are directions in which neither S nor gamma grows")
-    offset = [_dot(linear, v) for v in kernel]
+    offset = [_dot(linear, v) for v in basis]
     rows: list[Row] = [
-        {**{i: on_kernel[i][k] for i in range(len(gammas))}, CONSTANT: -offset[k]} for k in range(len(kernel))
+        {**{i: on_kernel[i][k] for i in range(len(gammas))}, CONSTANT: -offset[k]} for k in range(len(basis))
     ]
     try:
         extra = particular_solution(reduce_rows(rows), fmpq(0))
@@ -345,17 +345,8 @@ def _on_kernel(
 
 
 def _kernel(form: RealMatrix) -> list[list[fmpq]]:
-    size = len(form)
-    solved = reduce_rows([{k: v for k, v in enumerate(row) if v != 0} for row in form])
-    free = [k for k in range(size) if k not in solved]
-    basis = []
-    for f in free:
-        v = [fmpq(0)] * size
-        v[f] = fmpq(1)
-        for pivot, row in solved.items():
-            v[int(str(pivot))] = -row.get(f, fmpq(0))
-        basis.append(v)
-    return basis
+    rows: list[Row] = [{k: v for k, v in enumerate(row) if v != 0} for row in form]
+    return kernel(rows, len(form), fmpq(0), fmpq(1))
 
 
 def _dot(a: Sequence[fmpq], b: Sequence[fmpq]) -> fmpq:

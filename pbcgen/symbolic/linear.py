@@ -136,6 +136,17 @@ def determined(solved: Mapping[Hashable, Row], zero: Any) -> dict[Hashable, Any]
     }
 
 
+def kernel(rows: Iterable[Mapping[Hashable, Any]], size: int, zero: Any, one: Any) -> list[list[Any]]:
+    """A basis of the vectors of ``size`` unknowns, called 0, 1, ..., on which all rows vanish."""
+    solved = reduce_rows(rows)
+    basis = []
+    for free in (k for k in range(size) if k not in solved):
+        vector = [-solved[k][free] if k in solved and free in solved[k] else zero for k in range(size)]
+        vector[free] = one
+        basis.append(vector)
+    return basis
+
+
 def solve(matrix: list[list[Any]], right: list[Any], zero: Any) -> list[Any] | None:
     """A solution of ``matrix x = right`` over the field (free unknowns zero), or None if there is none."""
     rows: list[Row] = [{**dict(enumerate(row)), CONSTANT: -value} for row, value in zip(matrix, right, strict=True)]

@@ -69,6 +69,12 @@ def _dot(a: Sequence[Real], b: Sequence[Real]) -> Real:
     return total
 
 
+def weighted_sum(weights: Sequence[Real], matrices: Sequence[RealMatrix]) -> RealMatrix:
+    """``sum w_k M_k`` of at least one matrix."""
+    rows = zip(*matrices, strict=True)
+    return [[_dot(weights, entries) for entries in zip(*row, strict=True)] for row in rows]
+
+
 def congruence(n: RealMatrix, a: RealMatrix) -> RealMatrix:
     """``N A N^T``."""
     return multiply(multiply(n, a), transpose(n))

@@ -3,7 +3,7 @@
 from fractions import Fraction
 
 import pytest
-from flint import fmpq
+from flint import fmpq, fmpq_mat
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,6 +11,7 @@ from pbcgen.symbolic.linear import (
     CONSTANT,
     Inconsistent,
     determined,
+    kernel,
     particular_solution,
     reduce_rows,
     solve,
@@ -55,3 +56,12 @@ def test_a_particular_solution_solves(rows):
         total = row[CONSTANT] + sum((row[k] * values.get(k, fmpq(0)) for k in "xyz"), fmpq(0))
         assert total == fmpq(0)
     assert all(isinstance(Fraction(int(v.p), int(v.q)), Fraction) for v in values.values())
+
+
+@settings(deadline=None)
+@given(st.lists(st.lists(_numbers, min_size=4, max_size=4), max_size=5))
+def test_a_kernel_is_all_that_the_rows_annihilate(rows):
+    basis = kernel([dict(enumerate(row)) for row in rows], 4, fmpq(0), fmpq(1))
+    assert all(sum(a * b for a, b in zip(row, vector, strict=True)) == 0 for row in rows for vector in basis)
+    assert len(basis) == 4 - (fmpq_mat(rows).rank() if rows else 0)
+    assert not basis or fmpq_mat(basis).rank() == len(basis)
