@@ -8,7 +8,6 @@ its Hessian is positive definite; for some t it is if that of V is on the kernel
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import prod
 
 from flint import fmpq
 
@@ -18,6 +17,7 @@ from pbcgen.passivity.plant import Plant, columns
 from pbcgen.passivity.shaping import extended_hessian, shape_at
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
+from pbcgen.symbolic.coefficients import cleared
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, kernel, particular_solution, reduce_rows
 from pbcgen.symbolic.real import BITS, ZERO, Real, approximate, precision, rational, text
 from pbcgen.symbolic.real_matrices import SparseRow, diagonal
@@ -31,14 +31,14 @@ def conserved(plant: Plant) -> list[list[fmpq]]:
     system = plant.system
     try:
         field, (f, g) = plant.exact(system.f, system.g)
+        zero = field.const(0)
+        moves = [cleared(field, column) for column in (f.column(zero), *columns(g, zero))]
     except (UnsupportedOperation, ZeroDivisionError):
         return []
-    zero = field.const(0)
     rows: dict[object, Row] = {}
-    for j, column in enumerate([f.column(zero), *columns(g, zero)]):
-        below = prod({str(entry.denominator): entry.denominator for entry in column}.values())
+    for j, column in enumerate(moves):
         for i, entry in enumerate(column):
-            for exponents, coefficient in (entry.numerator * (below / entry.denominator)).to_dict().items():
+            for exponents, coefficient in entry.to_dict().items():
                 rows.setdefault((j, tuple(exponents)), {})[i] = coefficient
     return kernel(rows.values(), system.n, fmpq(0), fmpq(1))
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import prod
 
 import casadi as ca
 from flint import arb
@@ -23,6 +22,7 @@ from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.smooth import smooth_forms
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
+from pbcgen.symbolic.coefficients import cleared
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import (
     BITS,
@@ -151,13 +151,12 @@ def combination(plant: Plant, expression: ca.SX, others: ca.SX, known: Mapping[s
     """Constant coefficients with which an equation is a combination of others where some values are known, or None."""
     try:
         field, (values,) = plant.exact(ca.vertcat(expression, others), known=known)
+        functions = cleared(field, values.column(field.const(0)))
     except (UnsupportedOperation, ZeroDivisionError):
         return None
-    functions = values.column(field.const(0))
-    below = prod({str(function.denominator): function.denominator for function in functions}.values())
     rows: dict[object, Row] = {}
     for k, function in enumerate(functions):
-        for exponents, coefficient in (function.numerator * (below / function.denominator)).to_dict().items():
+        for exponents, coefficient in function.to_dict().items():
             key, value = (CONSTANT, -coefficient) if k == 0 else (k, coefficient)
             rows.setdefault(tuple(exponents), {})[key] = value
     try:

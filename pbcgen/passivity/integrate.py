@@ -9,7 +9,7 @@ import casadi as ca
 from flint import fmpq
 
 from pbcgen.passivity.plant import Plant, columns
-from pbcgen.symbolic.coefficients import Coefficients, Monomial
+from pbcgen.symbolic.coefficients import Coefficients, Monomial, common_denominator
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 
@@ -68,16 +68,6 @@ def potential(plant: Plant, psi: ca.SX) -> ca.SX | None:
     return _match(plant, psi, functions)
 
 
-def common_denominator(values: Sequence[Quotient]) -> Quotient:
-    """A polynomial that every value times it is one, too."""
-    field = values[0].field
-    common = field.const(1)
-    for value in values:
-        shared = common.numerator.gcd(value.denominator)
-        common = common * (field.polynomial(value.denominator) / field.polynomial(shared))
-    return common
-
-
 def _linear(plant: Plant, field: Field, gradient: Sequence[Quotient]) -> ca.SX:
     [s for column in plant.symbols for s in ca.vertsplit(column)]
     terms = [plant.expression(entry) * plant.system.x[j] for j, entry in enumerate(gradient) if not entry.is_zero()]
@@ -124,7 +114,7 @@ def _match(plant: Plant, psi: ca.SX, functions: Sequence[ca.SX]) -> ca.SX | None
     zero = field.const(0)
     coefficients = Coefficients(field, plant.parameter_positions())
     needed, given = wanted.column(zero), columns(available, zero)
-    cleared = [common_denominator([value, *(column[i] for column in given)]) for i, value in enumerate(needed)]
+    cleared = [common_denominator(field, [value, *(column[i] for column in given)]) for i, value in enumerate(needed)]
     target = [coefficients.split(entry * by) for entry, by in zip(needed, cleared, strict=True)]
     offered = [[coefficients.split(entry * by) for entry, by in zip(column, cleared, strict=True)] for column in given]
     rows: list[Row] = []

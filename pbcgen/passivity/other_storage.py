@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.passivity.integrate import common_denominator, potential
+from pbcgen.passivity.integrate import potential
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.proof.claim import Status
 from pbcgen.proof.cutting_planes import boundary, interior
 from pbcgen.proof.definite import positive_definite, positive_semidefinite
-from pbcgen.symbolic.coefficients import Coefficients
+from pbcgen.symbolic.coefficients import Coefficients, common_denominator
 from pbcgen.symbolic.display import formula
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import Row, kernel
@@ -160,7 +160,7 @@ def _solutions(plant: Plant, unread: Sequence[int], diagonal: bool) -> list[list
     coefficients = Coefficients(field, plant.parameter_positions())
 
     def split(matrix: list[list[Quotient]]) -> list[list[dict[tuple[int, ...], Quotient] | None]] | None:
-        common = common_denominator([v for row in matrix for v in row])
+        common = common_denominator(field, [v for row in matrix for v in row])
         parts = [[coefficients.split(entry * common) for entry in row] for row in matrix]
         return None if any(p is None for row in parts for p in row) else parts
 

@@ -8,7 +8,7 @@ Two forms: ``f = F(x) grad S - rho(x)`` (port-Hamiltonian, with a remainder of f
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,6 +20,7 @@ from pbcgen.passivity.factor import Factor, find_factor, refine_symbolically
 from pbcgen.passivity.plant import Plant, dot
 from pbcgen.proof.elimination import semidefinite
 from pbcgen.proof.nonnegative import Everywhere, Prover
+from pbcgen.symbolic.coefficients import common_denominator
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.tape import Matrix as SparseMatrix
 
@@ -103,19 +104,12 @@ def _sides(
         multipliers += [
             field.symbol(k) for k, atom in sorted(field.atoms.items()) if not atom.argument.symbols() <= parameters
         ]
-    common = _common_denominator(field, [*f, *e], plant.parameter_positions())
+    by_state = (v for v in (*f, *e) if not field.polynomial(v.denominator).symbols() <= plant.parameter_positions())
+    common = common_denominator(field, by_state)  # such as sinh makes
+    if len(common.numerator) > _MOST_IN_DENOMINATOR:
+        common = field.const(1)
     f, e = [v * common for v in f], [v * common for v in e]
     return common, (field, *((f, e) if drift_first else (e, f)), multipliers)
-
-
-def _common_denominator(field: Field, functions: Sequence[Quotient], parameters: frozenset[int]) -> Quotient:
-    """The least common denominator where one depends on the state, as sinh makes it, and 1 elsewhere."""
-    common = field.const(1)
-    for function in functions:
-        below = field.polynomial(function.denominator)
-        if not below.symbols() <= parameters:
-            common = common * below / field.polynomial(common.numerator.gcd(function.denominator))
-    return common if len(common.numerator) <= _MOST_IN_DENOMINATOR else field.const(1)
 
 
 def _as_expressions(plant: Plant, factor: Factor, common: Quotient) -> tuple[ca.SX, ca.SX]:

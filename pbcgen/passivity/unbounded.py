@@ -19,7 +19,6 @@ from flint import fmpq
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.coordinates import proper
 from pbcgen.passivity.inertia import missing_for_definiteness, missing_for_growth
-from pbcgen.passivity.integrate import common_denominator
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import positive_semidefinite
@@ -28,6 +27,7 @@ from pbcgen.proof.extrema import term_bounds
 from pbcgen.proof.known import BOUNDED_KINDS
 from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.proof.sos import sum_of_squares
+from pbcgen.symbolic.coefficients import cleared
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, kernel, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO, Real, fraction, rational, sign
@@ -226,13 +226,9 @@ def _changing(plant: Plant, value: Quotient, variables: Sequence[int]) -> list[l
     slopes = ca.gradient(plant.expression(value), plant.system.x[list(variables)])
     field, (gradient,) = plant.exact(slopes)
     entries = gradient.column(field.const(0))
-    common = common_denominator(entries)
     rows: dict[object, Row] = {}
-    for k, entry in enumerate(entries):
-        cleared = entry * common
-        if not cleared.is_polynomial():
-            return None
-        for exponents, c in cleared.numerator.to_dict().items():
+    for k, entry in enumerate(cleared(field, entries)):
+        for exponents, c in entry.to_dict().items():
             rows.setdefault(tuple(exponents), {})[k] = c
     solved = reduce_rows(rows.values())
     return [[fmpq(1) if k == p else row.get(k, fmpq(0)) for k in range(len(entries))] for p, row in solved.items()]

@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
-from flint import fmpq
+from flint import fmpq, fmpq_mpoly
 
 from pbcgen.symbolic.field import Field, Quotient
 
 #: The exponents of all indeterminates, by position.
 Monomial = tuple[int, ...]
+
+
+def common_denominator(field: Field, values: Iterable[Quotient]) -> Quotient:
+    """The polynomial of least degree that makes polynomials of all values, times it."""
+    return field.polynomial(_least_multiple(field, values))
+
+
+def cleared(field: Field, values: Sequence[Quotient]) -> list[fmpq_mpoly]:
+    """The values times their common denominator, with the relations between atoms applied."""
+    common = _least_multiple(field, values)
+    return [field.reduced(value.numerator * (common / value.denominator)) for value in values]
+
+
+def _least_multiple(field: Field, values: Iterable[Quotient]) -> fmpq_mpoly:
+    common = field.const(1).numerator
+    for value in values:
+        common = common * (value.denominator / common.gcd(value.denominator))
+    return common
 
 
 class Coefficients:
