@@ -167,9 +167,10 @@ class Basis:
         """Enclosures of ``e^{A t}`` and ``int_0^t e^{A s} ds`` in these coordinates, t >= 0."""
         if self.values is None:
             return self._exponential_of_blocks(t)
-        # e^{(D + rest) t} and e^{D t} differ by at most e^{t (mu + |rest|)} - e^{t mu}, mu = max Re d.
+        # e^{(D + rest) t} and e^{D t} differ by at most e^{t (mu + |rest|)} - e^{t mu} for mu >= max Re d; with mu >= 0
+        # this grows with t, so that its value at the longest t bounds it, and its integral, for all shorter ones.
         longest = t.upper()
-        mu = max((v.real.upper() for v in self.values), default=arb(0))
+        mu = max((v.real.upper() for v in self.values), default=arb(0)).max(arb(0))
         spread = ((longest * (mu + self.error)).exp() - (longest * mu).exp()).abs_upper()
         halo, halo_integral = _disc(spread), _disc(spread * longest)
         e, g = ([function(v, t) for v in self.values] for function in (_exponential, _integral))
