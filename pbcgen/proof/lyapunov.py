@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pbcgen.proof.claim import Status
 from pbcgen.symbolic.real import approximate, ball, precision
-from pbcgen.symbolic.real_matrices import RealMatrix
+from pbcgen.symbolic.real_matrices import RealMatrix, nonzeros
 
 Floats: TypeAlias = NDArray[np.float64]
 Kind: TypeAlias = Literal["hurwitz", "schur"]
@@ -123,12 +123,11 @@ def _balls(values: Floats) -> arb_mat:
 def _scaled(matrix: RealMatrix, scale: Floats) -> arb_mat:
     """The balanced matrix as balls; the scale is made of powers of two, so nothing is rounded."""
     factors = [arb(float(v)) for v in scale]
-    return arb_mat(
-        [
-            [ball(entry) * factors[j] / factors[i] if entry != 0 else arb(0) for j, entry in enumerate(row)]
-            for i, row in enumerate(matrix)
-        ]
-    )
+    balanced = arb_mat(len(matrix), len(matrix))
+    for i, row in enumerate(nonzeros(matrix)):
+        for j, entry in row.items():
+            balanced[i, j] = ball(entry) * factors[j] / factors[i]
+    return balanced
 
 
 def _decrease(A: arb_mat, P: Floats, kind: Kind) -> arb_mat:

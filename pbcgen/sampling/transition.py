@@ -145,7 +145,7 @@ def midpoints(matrix: acb_mat) -> acb_mat:
 def largest(matrix: acb_mat) -> arb:
     """An upper bound of the maximum norm (largest row sum)."""
     rows = [sum((matrix[i, j].abs_upper() for j in range(matrix.ncols())), arb(0)) for i in range(matrix.nrows())]
-    return max(rows, default=arb(0))
+    return max((row.upper() for row in rows), default=arb(0))
 
 
 class Basis:

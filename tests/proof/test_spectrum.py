@@ -81,6 +81,18 @@ def test_numbers_that_are_not_finite_are_left_open():
     assert schur(nan).status is UNDECIDED
 
 
+@pytest.mark.parametrize("size", [3, 25])
+@pytest.mark.parametrize(("decide", "centre"), [(hurwitz, -1), (schur, fmpq(1, 2))])
+def test_entries_around_zero_are_not_taken_for_zero(size, decide, centre):
+    """A loop between the first two states, of a gain that is known up to 100 only."""
+    matrix = [[fmpq(centre) if i == j else fmpq(0) for j in range(size)] for i in range(size)]
+    assert decide(matrix).status is Status.PROVED
+    matrix[0][1] = matrix[1][0] = arb(0, 100)
+    assert decide(matrix).status is Status.UNDECIDED
+    matrix[0][1] = matrix[1][0] = arb(0, 0.1)
+    assert decide(matrix).status is not Status.REFUTED
+
+
 def test_the_empty_matrix_is_stable():
     assert hurwitz([]).status is PROVED
     assert schur([]).status is PROVED
