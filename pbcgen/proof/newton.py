@@ -144,7 +144,7 @@ def krawczyk(system: System, centre: Sequence[Fraction], radius: Fraction = Frac
     if y is None:
         return None
     defect = arb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)]) - y * as_balls(over_box)
-    offset = arb_mat([[arb(0, arb(r))] for r in half])
+    offset = arb_mat([[ball(b) - m] for b, m in zip(box, middle, strict=True)])
     image = arb_mat([[ball(m)] for m in middle]) - y * arb_mat([[ball(v)] for v in value]) + defect * offset
     balls = [image[i, 0] for i in range(size)]
     inside = all(ball(b).contains_interior(k) for b, k in zip(box, balls, strict=True))
