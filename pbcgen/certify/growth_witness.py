@@ -84,6 +84,7 @@ def convex_growth(system: Stability, terms: Writing, kinetic: Sequence[Part] = (
     field, gamma = system.field, system.column("gamma")
     energy = system.column("S")[0]
     parts = [] if system.compensated else [*kinetic] or _kinetic(system, energy) or _separate(system, energy)
+    parts = parts if _flat(system, parts, gamma) else []
     rest = _less(energy, parts)
     states = sorted(rest.used.union(*(v.used for v in gamma)))
     H = [[slopes(field, v)[k] for k in states] for v in (slopes(field, rest)[k] for k in states)]
@@ -92,6 +93,13 @@ def convex_growth(system: Stability, terms: Writing, kinetic: Sequence[Part] = (
     if spans is None:
         return None
     return {"parts": _written(parts, terms), "convex": {"states": states, "squares": squares}, "spans": spans}
+
+
+def _flat(system: Stability, parts: Sequence[Part], gamma: Sequence[Function]) -> bool:
+    """Whether the parts vanish at x* together with their slopes by what gamma reads."""
+    read = set[int]().union(*(g.used for g in gamma))
+    values = [v for _, t in parts for v in (t, *(slopes(system.field, t)[k] for k in sorted(read)))]
+    return all(sign(put_in(system.field, v, system.rest_point)) == 0 for v in values)
 
 
 def _written(parts: Sequence[Part], terms: Writing) -> list[list[int]]:

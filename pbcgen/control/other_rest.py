@@ -43,7 +43,10 @@ def other_rest(situation: Situation) -> list[Real] | None:
         return None
     at_star = ca.SX.sym("at_star", 2 * system.m)
     psi = ca.SX.sym("psi", system.m if isinstance(situation.law, Integral) else 0)
-    residual = _rest_equations(situation, at_star[: system.m], at_star[system.m :], psi)
+    try:
+        residual = _rest_equations(situation, at_star[: system.m], at_star[system.m :], psi)
+    except ZeroDivisionError:
+        return None  # K_c is singular: the inputs do not say where the filters rest
     if still:
         residual = ca.substitute(residual[still:], system.x[free:], ca.SX.zeros(still))
     jacobian = ca.jacobian(residual, ca.vertcat(system.x[:free], system.u, psi))

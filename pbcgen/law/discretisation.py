@@ -35,7 +35,7 @@ def control_law(
     graph: LawGraph, interface: Interface, h: Fraction, precision: Precision, tanh: Tanh | None = None
 ) -> ControlLaw:
     """The discretised law as data for the emitter and the reference step."""
-    step, stored = graph.discretise(h), graph.stored
+    step, stored = graph.discretise(h), graph.stored(h)
     N, c, following, output, start = graph.rounded(*step.parts(), graph.start(h), keep=stored)
     base = base_law(graph.law)
     holds = isinstance(base, PotentialCompensation)

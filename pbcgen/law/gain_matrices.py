@@ -7,6 +7,7 @@ from fractions import Fraction
 
 from flint import fmpq, fmpq_mat
 
+from pbcgen.errors import EmitError
 from pbcgen.law.settings import GainMatrix, times
 from pbcgen.models.gains import Matrix, diagonal
 from pbcgen.symbolic.real import fraction, rational
@@ -28,12 +29,20 @@ class Implicit:
 
     @staticmethod
     def of(R: GainMatrix, K: GainMatrix, h: Fraction) -> Implicit:
-        """The step with sample period h. Gains that are symbols stand in diagonal matrices, and K beside them too."""
+        """The step with sample period h. Gains that are symbols stand in diagonal matrices, and K beside them too.
+
+        Raises EmitError where it has no solution, which gains that are not positive definite can bring about.
+        """
         exact_R, exact_K = _numbers(R), _numbers(K)
         if exact_R is not None and exact_K is not None:
             identity = _flint(diagonal([Fraction(1)] * len(R)))
             growth = identity + _flint(exact_R) * _flint(exact_K) * rational(h)
-            decay = growth.inv()
+            try:
+                decay = growth.inv()
+            except ZeroDivisionError:
+                raise EmitError(
+                    f"I + h R K of a filter is singular at h = {float(h):g} s: its gains must be positive definite"
+                ) from None
             return Implicit(_fractions(growth), _fractions(decay), _fractions(decay * _flint(exact_R) * rational(h)))
         entries = range(len(R))
         sums = [1 + times(h, R[i][i], K[i][i]) for i in entries]

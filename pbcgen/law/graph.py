@@ -82,10 +82,9 @@ class LawGraph:
     equilibrium_input: ca.SX
     saturated: Saturated | None = None
 
-    @property
-    def stored(self) -> tuple[Stored, ...]:
-        """What the running controller keeps of its settings: what the step uses."""
-        used = ca.vertcat(*[ca.vec(ca.densify(e)) for e in self.discretise(Fraction(1)).parts()])
+    def stored(self, h: Fraction) -> tuple[Stored, ...]:
+        """What the running controller keeps of its settings: what the step with sample period h uses."""
+        used = ca.vertcat(*[ca.vec(ca.densify(e)) for e in self.discretise(h).parts()])
         return tuple(s for s in self.settings.stored if ca.depends_on(used, s.symbol))
 
     def rounded(self, *expressions: ca.SX, keep: Sequence[Stored] = ()) -> list[ca.SX]:

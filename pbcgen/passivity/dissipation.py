@@ -125,6 +125,10 @@ def _bounds(
     if any(solution is None for solution in y_solutions):
         k = next(k for k, s in enumerate(y_solutions) if s is None)
         return NaturalDampingBounds(_given(plant), (), None, None, _undamped_output(plant, rows, k))
+    still = next((k for k, row in enumerate(rows.y) if not any(v != 0 for v in row)), None)
+    if still is not None:
+        why = f"gamma of {plant.system.input_names[still]} never moves: the input does nothing"
+        return NaturalDampingBounds(_given(plant), (), None, None, _undecided(why))
     chosen = [
         k
         for k, row in enumerate(rows.signals)

@@ -5,6 +5,7 @@ import pytest
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Integral, Mechanical, PassiveOutput
 from pbcgen.control.derive import derive
+from pbcgen.pipeline import check
 from pbcgen.proof.claim import Status
 
 PROVED, REFUTED, UNDECIDED = Status.PROVED, Status.REFUTED, Status.UNDECIDED
@@ -152,3 +153,14 @@ def test_an_algebraic_loop_that_is_not_proved_solvable_gives_no_law(gamma, statu
     derivation = derive(design)
     assert {c.claim: c.status for c in derivation.claims}["stable"] is status
     assert (derivation.graph is not None) == (status is PROVED)
+
+
+@pytest.mark.parametrize(("K_c", "R_c"), [([[4, -2], [-2, 1]], 1), ([[1, 2], [2, 1]], 1), ([[1, 2], [2, 1]], 100)])
+def test_filters_that_are_singular_or_cannot_take_a_step_are_refused_in_words(K_c, R_c):
+    """K_c of rank one leaves the rest of the filters open; with R_c = 100, I + h R_c K_c is singular."""
+    x, y, u, v = (ca.SX.sym(name) for name in "xyuv")
+    plant = AffineSystem([x, y], [u, v], [-x - y**3, x * y**2 - y], [[1, 0], [0, 1]], (x**2 + y**2) / 2)
+    law = DynamicExtension([2, 3], [1, 2], K_c=K_c, R_c=R_c)
+    report = check(Design(plant, {"x": 1, "y": 0}, law, sample_period="1e-2", name="trial"))
+    assert {c.claim: c.status for c in report.claims}["gain-definiteness"] is Status.REFUTED
+    assert ("must be positive definite" in report.unwritable) == (R_c == 100)

@@ -156,3 +156,13 @@ def test_outputs_that_share_their_damping_get_the_largest_multiple():
     found = tightened(W, [fmpq(2)] * 3)
     assert all(fmpq(3, 2) <= v <= fmpq(151, 100) for v in found)
     assert tightened([[fmpq(2)]], [fmpq(2)]) == [fmpq(2)]
+
+
+def test_an_input_that_does_nothing_has_no_damping_to_name():
+    x, y, u, v = (ca.SX.sym(name) for name in "xyuv")
+    plant = AffineSystem([x, y], [u, v], [-x, -y], [[0, 1], [0, 0]], (x**2 + y**2) / 2, eta=[y])
+    law = NaturalDamping(2, 1, 1, 1, alpha_l=1, beta_l=1, K_l=1, R_l=1)
+    claims = _claims(Design(plant, {"x": 1, "y": 0}, law, sample_period="1e-2", name="idle input"))
+    assert claims["input-rank"].status is Status.REFUTED
+    assert claims["assumption-3"].status is Status.UNDECIDED
+    assert "the input does nothing" in claims["assumption-3"].evidence

@@ -2,9 +2,12 @@
 
 import copy
 
+import casadi as ca
 import pytest
 from certificates import outcomes, signed
-from documents import GLOBAL, LOCAL, document_of, with_witness, witness
+from documents import GLOBAL, LOCAL, document_of, status, with_witness, witness, written_for
+
+from pbcgen import AffineSystem, Design, DynamicExtension
 
 pytestmark = pytest.mark.system
 
@@ -98,6 +101,15 @@ def test_a_convex_storage_is_convex_in_all_that_it_depends_on():
         assert _outcome(with_witness(document, GLOBAL, convex=convex | change)) == "fails", change
     no_part = {"parts": [], "convex": convex | {"states": [0, 1]}, "spans": []}
     assert _outcome(with_witness(document, GLOBAL, **no_part)) == "fails"
+
+
+def test_a_state_that_gamma_reads_is_no_momentum_of_a_convex_storage():
+    """x1 stands in a square of its own, but rests at 0.9: the convex part must hold it."""
+    x0, x1, u = (ca.SX.sym(name) for name in ("x0", "x1", "u"))
+    plant = AffineSystem([x0, x1], [u], [2 * x1, 1 - ca.exp(x0)], [2, 0], ca.exp(x0) - x0 + x1**2)
+    document = written_for(Design(plant, {"x1": "0.9"}, DynamicExtension(9, 8, 7, 2), sample_period="1e-2", name="t"))
+    assert status(document, GLOBAL) == "PROVED"
+    assert _outcome(document) == "checked"
 
 
 def test_every_factor_of_a_product_is_a_case():
