@@ -102,12 +102,23 @@ class _Work:
         system, terms = self.system, self.terms
         symbols = range(len(system.field.symbols))
         chain = Elimination(system.field, [system.field.lift(0)] * len(symbols), system.equations({}))
-        steps = eliminate(chain, terms, symbols, accept=lambda value: value.number() is not None)
+        order = [*symbols[system.n :], *symbols[: system.n]]  # functions of inputs say less than functions of states
+        steps = eliminate(chain, terms, order, accept=lambda value: value.number() is not None)
         left = [chain.reduced(e) for e in chain.equations]
+        if self._contradicts(chain):
+            return {"steps": steps}
         weights = combined(system.field.lift(1), left)
-        if weights is not None and not any(system.field.everywhere(e.top) for e in left):
+        if weights is not None:
             return {"steps": [*steps, [None, {str(k): terms.put(f"constant {c}") for k, c in weights.items()}]]}
-        return {"steps": steps + eliminate(chain, terms, symbols)}
+        steps += eliminate(chain, terms, order)
+        return {"steps": steps} if self._contradicts(chain) else None
+
+    def _contradicts(self, chain: Elimination) -> bool:
+        """Whether the checker sees that there is no such rest, see `refuted_equilibrium`."""
+        system = self.system
+        found = {name: chain.solved[k].number() for k, name in enumerate(system.states) if k in chain.solved}
+        inside = system.inside({name: value for name, value in found.items() if value is not None})
+        return not inside or any(system.field.everywhere(chain.reduced(e).top) for e in chain.equations)
 
     def undamped_output(self, claim: Claim) -> Witness:
         """`assumption-3` REFUTED: a set on which nothing is lost, and a place where the output is not zero."""

@@ -20,6 +20,7 @@ from pbcgen.passivity.assignable import best_point, nearest_assignable, residual
 from pbcgen.passivity.completion import Equations, SquareSystem, linear_consequences, point_of
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.smooth import smooth_forms
+from pbcgen.passivity.unreachable import Contradiction, contradiction
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
 from pbcgen.symbolic.coefficients import cleared
@@ -102,7 +103,10 @@ def _search(
         return outside
     square = SquareSystem.choose(plant, design, equations, known, unknown)
     if square is None:
-        return _underdetermined(plant, design, known, unknown)
+        impossible = contradiction(plant, equations.expressions, known)
+        return (
+            _unreachable(plant, design, impossible) if impossible else _underdetermined(plant, design, known, unknown)
+        )
     with precision(BITS):
         points = [p for z in square.zeros() if (p := square.enclose(z)) is not None]
     points = [p for p in points if _outside_domain(plant, _by_name(plant, p)) is None]
@@ -112,6 +116,8 @@ def _search(
     fitting = [p for p, values in zip(points, residuals, strict=True) if not {1, -1} & {sign(v) for v in values}]
     if not fitting and set(unknown) <= set(plant.system.input_names):  # linear: what was found is all there is
         return _not_assignable(plant, design, points[0])
+    if not fitting and (impossible := contradiction(plant, equations.expressions, known)) is not None:
+        return _unreachable(plant, design, impossible)
     if not fitting:  # there may be zeros that the search did not find
         why = "no rest position that was found meets all conditions of the target"
         return Equilibrium(_undecided(why, residuals[0]), None, tuple(_rounded(plant, p) for p in points))
@@ -290,6 +296,9 @@ def _unfit(why: str, hint: str) -> Equilibrium:
 
 
 def _no_zero(plant: Plant, design: Design, equations: Equations, square: SquareSystem) -> Equilibrium:
+    impossible = contradiction(plant, equations.expressions, square.known)
+    if impossible is not None:
+        return _unreachable(plant, design, impossible)
     polished = nearest_assignable(plant, design)
     near = "" if polished is None else "; nearest assignable point found: " + _pairs(polished)
     if polished is not None and not _is_smooth_at(plant, polished):
@@ -302,6 +311,22 @@ def _no_zero(plant: Plant, design: Design, equations: Equations, square: SquareS
         f"no equilibrium that meets the target was found{near}",
         smooth_forms(plant)
         or "check that the target is reachable, or give `near={...}` to start the search close to it",
+    )
+    return Equilibrium(claim, None)
+
+
+def _unreachable(plant: Plant, design: Design, found: Contradiction) -> Equilibrium:
+    """The verdict on a target that no real state meets."""
+    nearest = nearest_assignable(plant, design)
+    near = "" if nearest is None else "; the nearest assignable point found is " + _pairs(nearest)
+    claim = Claim(
+        "equilibrium",
+        Status.REFUTED,
+        "at x*",
+        "elimination, and signs of exact functions",
+        f"no real state meets the target: {found.text}",
+        f"choose a target that an input can hold{near}",
+        {"equation": found.equation, "why": found.why, "nearest": None if nearest is None else dict(nearest)},
     )
     return Equilibrium(claim, None)
 

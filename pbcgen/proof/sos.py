@@ -241,17 +241,19 @@ def find(field: Field, polynomial: fmpq_mpoly, bounds: Mapping[int, Interval]) -
     return None
 
 
-def coefficients(field: Field, base: fmpq_mpoly, directions: Sequence[fmpq_mpoly]) -> list[float] | None:
+def coefficients(
+    field: Field, base: fmpq_mpoly, directions: Sequence[fmpq_mpoly], bounds: Mapping[int, Interval] | None = None
+) -> list[float] | None:
     """Numbers c, in floating point, for which ``base + sum c_k directions_k`` seems to be a sum of squares, or None.
 
-    They are a proposal: round them and prove the result.
+    Multipliers are as in :func:`find`. The numbers are a proposal: round them and prove the result.
     """
     if not available() or not directions:
         return None
     support = field.context.constant(0)
     for index, part in enumerate((base, *directions)):
         support += field.context.from_dict({e: fmpq(1) for e in part.to_dict()}) * (index + 1)
-    pruned = _pruned(field, support, blocks(field, support, {}), complete=False)
+    pruned = _pruned(field, support, blocks(field, support, bounds or {}), complete=False)
     if pruned is None:
         return None
     parts, equations = pruned
