@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Integral, Mechanical, Parameters
-from pbcgen.control.absolute import METHOD, _Loop
+from pbcgen.control.absolute import METHOD, storage_of
 from pbcgen.control.derive import derive
+from pbcgen.control.sectors import SectorLoop
 from pbcgen.models.laws import base_law
 from pbcgen.proof.claim import Status
 
@@ -70,6 +71,7 @@ PROVED = {
     "an integral term": carts(),
     "an integral term that leaks little": carts(R_psi="0.1", alpha_psi="0.4"),
     "more than passive": _linear([[-1, 3], [-1, -1]], [1, 0], [1, 1]),
+    "an integrator": _linear([[0, 1], [0, -1]], [0, 1], [1, 0]),
 }
 
 
@@ -80,7 +82,7 @@ def test_it_is_proved_and_the_function_decreases_along_the_loop(name):
     assert (claim.status, claim.method) == (Status.PROVED, METHOD)
     law = derivation.law
     base = base_law(law)
-    found = _Loop.of(derivation.situation, base, law).storage()
+    found = storage_of(SectorLoop.of(derivation.situation))
     P = np.array([[float(v) for v in row] for row in found.P])
     weights, filters = (np.array([float(v) for v in part]) for part in (found.popov, found.integral))
     system, rng = derivation.plant.system, np.random.default_rng(1)
@@ -129,7 +131,10 @@ REFUSED = {
     "an integral term that drives": carts(R_psi="0.1", alpha_psi=9, beta_psi=1),
     "an integral term without springs": carts(springs=(0, 3, 0)),
     "an integral term and no friction": carts(friction=0),
-    "an integrator": _linear([[0, 1], [0, -1]], [0, 1], [1, 0]),
+    "an integrator that is driven": _linear([[0, 1], [0, 1]], [0, 1], [1, 0]),
+    "an integrator that the law does not read": _linear([[0, 1], [0, -1]], [0, 1], [0, 1]),
+    "an integrator, pushed away": _linear([[0, 1], [0, -1]], [0, 1], [-1, 0]),
+    "two integrators": _linear([[0, 1], [0, 0]], [0, 1], [1, 0]),
     "an oscillator without friction": _linear([[0, 1], [-1, 0]], [0, 1], [1, 0]),
     "an unstable plant": _linear([[0.5, 1], [-1, -0.4]], [1, 0], [1, 0], stiff=5, K=20),
     "an unstable plant that its law holds": _linear([[0.1]], [1], [1], stiff=5, K=20),
@@ -145,8 +150,8 @@ def test_what_may_not_be_global_is_refused(name):
     derivation, claim = _global(REFUSED[name])
     assert claim.method != METHOD
     situation = derivation.situation
-    loop = None if situation is None else _Loop.of(situation, base_law(derivation.law), derivation.law)
-    assert loop is None or loop.storage() is None
+    loop = None if situation is None else SectorLoop.of(situation)
+    assert loop is None or storage_of(loop) is None
 
 
 def test_a_second_rest_is_shown_instead():
