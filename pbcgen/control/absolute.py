@@ -14,10 +14,10 @@ makes V' < 0 but at x*: x* attracts from everywhere (Lur'e, Popov, the S-procedu
 vanish, which is a linear condition on P: gyroscopic forces and what motors exchange between their coils vanish so. P,
 lambda and tau are proposed in doubles and rounded; the definite forms are decided exactly.
 
-States that no rate depends on, such as x_l and positions, enter by the phi_i only. Terms with them must vanish too, the
-form being one of the others and phi. Where it is zero, so are the z_i with ``a_i = 0``, phi_i being strictly
-increasing, and these states with them if the z_i are one-to-one in them. Where P has no entries for some states, the
-integrals with lambda_i > 0 make V grow with them, at least in proportion, if their z_i are one-to-one in these.
+States that no rate depends on, such as x_l and where a device stands, enter by the phi_i only. Terms with them must
+vanish too, the form being one of the others and phi. Where it is zero, so are the z_i with ``a_i = 0``, as phi_i is
+strictly increasing, and these states with them if the z_i are one-to-one in them. Where P has no entries for some
+states, integrals with lambda_i > 0 make V grow with them, at least in proportion, if their z_i are one-to-one there.
 
 The law `integral` adds ``theta = alpha tanh(beta psi)``, ``psi' = -r psi + alpha beta sech(beta psi) gamma~``.
 ``W = (cosh(beta psi) - 1) / beta^2`` then has ``W' = gamma~ theta - r psi sinh(beta psi) / beta``, which is at most
@@ -37,7 +37,7 @@ from flint import fmpq
 from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
 
-from pbcgen.control.sectors import Polynomial, Sector, SectorLoop
+from pbcgen.control.sectors import Polynomial, Sector, SectorLoop, plus
 from pbcgen.control.situation import Situation
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.proof.claim import Status
@@ -151,16 +151,16 @@ def _parts(loop: SectorLoop) -> tuple[list[tuple[int, int]], list[Polynomial]]:
     parts: list[Polynomial] = []
     for a, b in pairs:
         total = _times(a, loop.rates[b])
-        parts.append(_negative(total if a == b else _plus(total, _times(b, loop.rates[a]))))
+        parts.append(_negative(total if a == b else plus(total, _times(b, loop.rates[a]))))
     for i, sector in enumerate(loop.sectors):
         rate: Polynomial = {}
         for (k,), c in sector.argument.items():
-            rate = _plus(rate, {key: c * v for key, v in loop.rates[k].items()})
+            rate = plus(rate, {key: c * v for key, v in loop.rates[k].items()})
         parts.append(_negative(_times(order + i, rate)))
     parts += [_negative(_room_in(sector, order + i)) for i, sector in enumerate(loop.sectors)]
     for i, (output, leak) in enumerate(zip(loop.outputs, loop.leaks, strict=False)):
         theta = order + len(loop.sectors) + i
-        parts.append(_plus(_negative(_times(theta, output)), {(theta, theta): leak}))
+        parts.append(plus(_negative(_times(theta, output)), {(theta, theta): leak}))
     return pairs, parts
 
 
@@ -176,7 +176,7 @@ def _room_in(sector: Sector, phi: int) -> Polynomial:
         below = z | {(phi,): -1 / sector.most}
     total: Polynomial = {}
     for key, c in above.items():
-        total = _plus(total, {tuple(sorted((*key, *other))): c * v for other, v in below.items()})
+        total = plus(total, {tuple(sorted((*key, *other))): c * v for other, v in below.items()})
     return total
 
 
@@ -259,10 +259,6 @@ def _times(k: int, p: Polynomial) -> Polynomial:
     return {tuple(sorted((k, *key))): c for key, c in p.items()}
 
 
-def _plus(a: Polynomial, b: Polynomial) -> Polynomial:
-    return {key: a.get(key, fmpq(0)) + b.get(key, fmpq(0)) for key in a.keys() | b.keys()}
-
-
 def _negative(p: Polynomial) -> Polynomial:
     return {key: -c for key, c in p.items()}
 
@@ -272,7 +268,7 @@ def _combined(parts: Sequence[Polynomial], weights: Sequence[fmpq]) -> Polynomia
     total: Polynomial = {}
     for part, weight in zip(parts, weights, strict=True):
         if weight != 0:
-            total = _plus(total, {key: weight * c for key, c in part.items() if len(key) == 2})
+            total = plus(total, {key: weight * c for key, c in part.items() if len(key) == 2})
     return total
 
 

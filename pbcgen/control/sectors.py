@@ -11,8 +11,8 @@ The last is the mean value theorem: nothing of x* enters, so x* need not be rati
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TypeAlias
 
@@ -25,6 +25,7 @@ from pbcgen.models.laws import DynamicExtension, Integral, Law, NaturalDamping
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.claim import Status
 from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.linear import Row, kernel, reduce_rows
 from pbcgen.symbolic.real import fraction, rational
 
 #: Coefficients by the positions of the variables of (zeta, phi, theta), in order.
@@ -104,7 +105,47 @@ class SectorLoop:
         channels = [[order + k for k in range(j, len(law), m)] + [theta + j] * bool(leaks) for j in range(m)]
         rates = [drift.rate(row, channels, order + len(law)) for row in drift.rows]
         rates += _filters(base, situation.plant.system.n, order)
-        return SectorLoop(rates, [*law, *own], [_linear(row) for row in N] if leaks else [], leaks)
+        return SectorLoop(rates, [*law, *own], [_linear(row) for row in N] if leaks else [], leaks)._straight()
+
+    def _straight(self) -> SectorLoop:
+        """The same in coordinates in which directions that no rate depends on are those of single states.
+
+        Let n_i be a basis of these directions in echelon form with pivots k_i. The coordinates are the pivots, and
+        ``zeta_j - sum_i n_i[j] zeta_{k_i}`` for the others: along n_i one pivot moves alone. A rate has the same value
+        where the pivots are zero and the other coordinates are as they are.
+        """
+        rows: dict[object, Row] = {}
+        for i, rate in enumerate(self.rates):
+            for key, c in rate.items():
+                for k in {k for k in key if k < self.order}:
+                    rest = list(key)
+                    rest.remove(k)
+                    entry = rows.setdefault((i, tuple(rest)), {})
+                    entry[k] = entry.get(k, fmpq(0)) + c * key.count(k)
+        basis: list[Row] = [dict(enumerate(row)) for row in kernel(rows.values(), self.order, fmpq(0), fmpq(1))]
+        along = {k: row for k, row in reduce_rows(basis).items() if isinstance(k, int)}
+        kept = [{key: c for key, c in rate.items() if not set(key) & along.keys()} for rate in self.rates]
+        rates = list(kept)
+        for k, row in along.items():
+            for j, c in row.items():
+                if isinstance(j, int) and j != k and c != 0:
+                    rates[j] = plus(rates[j], {key: -c * v for key, v in kept[k].items()})
+        sectors = [replace(sector, argument=_turned(sector.argument, along)) for sector in self.sectors]
+        return SectorLoop(rates, sectors, [_turned(output, along) for output in self.outputs], self.leaks)
+
+
+def _turned(argument: Polynomial, along: Mapping[int, Mapping[object, fmpq]]) -> Polynomial:
+    """A linear function in the other coordinates."""
+    found = dict(argument)
+    for k, row in along.items():
+        c = sum((argument.get((j,), fmpq(0)) * v for j, v in row.items() if isinstance(j, int)), fmpq(0))
+        found[(k,)] = c
+    return {key: c for key, c in found.items() if c != 0}
+
+
+def plus(a: Polynomial, b: Polynomial) -> Polynomial:
+    """The sum."""
+    return {key: a.get(key, fmpq(0)) + b.get(key, fmpq(0)) for key in a.keys() | b.keys()}
 
 
 @dataclass(frozen=True, eq=False)

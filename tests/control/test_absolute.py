@@ -129,7 +129,9 @@ REFUSED = {
     "a coil that is driven": motor(R="-1e-3"),
     "a filter without leak": carts(R_psi=0),
     "an integral term that drives": carts(R_psi="0.1", alpha_psi=9, beta_psi=1),
-    "an integral term without springs": carts(springs=(0, 3, 0)),
+    "an integral term that is all there is for a place": carts(springs=(0, 3, 0), R_psi=0),
+    "an integral term without springs, driven": carts(springs=(0, 3, 0), friction=-1),
+    "an integral term between springs that push": carts(springs=(0, 3, -1)),
     "an integral term and no friction": carts(friction=0),
     "an integrator that is driven": _linear([[0, 1], [0, 1]], [0, 1], [1, 0]),
     "an integrator that the law does not read": _linear([[0, 1], [0, -1]], [0, 1], [0, 1]),
@@ -165,3 +167,8 @@ def test_the_sampled_loop_is_not_called_global_for_it():
     derivation, claim = _global(PROVED["spacecraft"])
     assert claim.holds_everywhere
     assert "all x" not in next(c for c in derivation.claims if c.claim == "sampled-stable").domain
+
+
+def test_carts_that_stand_anywhere_without_the_law_are_brought_back():
+    _, claim = _global(carts(springs=(0, 3, 0)))
+    assert (claim.status, claim.method) == (Status.PROVED, METHOD)
