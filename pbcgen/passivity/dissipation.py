@@ -135,9 +135,7 @@ def _bounds(
         if row is not None and any(v != 0 for v in row) and _range_solution(rows.B0, row) is not None
     ]
     if plant.system.eta is not None and len(chosen) < len(candidates):
-        return NaturalDampingBounds(
-            plant.system.eta, tuple(names), None, None, _undecided("the given eta is not damped by a constant")
-        )
+        return NaturalDampingBounds(plant.system.eta, tuple(names), None, None, _unusable(plant, gamma))
     limit = plant.system.n - plant.system.m
     chosen = chosen[:limit]
     if not chosen:
@@ -350,6 +348,19 @@ def _no_damped_coordinate(plant: Plant) -> Claim:
         _undecided("every coordinate has an actuator, so none is left that only nature damps"),
         hint="use DynamicExtension, which damps what the actuators reach; or give eta=... with the model",
     )
+
+
+def _unusable(plant: Plant, gamma: ca.SX) -> Claim:
+    """Why the given eta has no constants, where gamma may be the reason."""
+    slopes = [ca.jacobian(e, plant.system.x) for e in (gamma, plant.system.eta)]
+    try:
+        field, (overlap,) = plant.exact(ca.mtimes(slopes[0], slopes[1].T))
+    except (UnsupportedOperation, ZeroDivisionError):
+        return _undecided("the given eta is not damped by a constant")
+    if all(v.is_zero() for row in overlap.dense(field.const(0)) for v in row):
+        return _undecided("the given eta is not damped by a constant")
+    claim = _undecided("grad gamma^T grad eta is not zero: the given eta and gamma share a direction")
+    return replace(claim, hint="give an eta whose gradient is orthogonal to that of gamma")
 
 
 def _undamped_output(plant: Plant, rows: _Rows, k: int) -> Claim:

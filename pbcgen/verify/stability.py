@@ -237,8 +237,9 @@ class Stability(Assumptions):
         witness = self.witness["adjustable"]
         if self.jitter:
             raise NotCheckable("periods that vary")
+        cells = witness["cells"]
         require(self.model.settings and self.rests(), "the settings have other equilibria")
-        require(self.passes_by(witness["cells"]), "a cell of settings may fail")
+        require(self.passes_by(cells), "a cell of settings may fail")
         require(self.compensated or self.fits(witness["trees"]), "an input may leave its limits")
         if self.compensated:
             self.at([hi for _, hi in self.box]).proved_saturation()

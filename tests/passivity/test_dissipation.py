@@ -166,3 +166,12 @@ def test_an_input_that_does_nothing_has_no_damping_to_name():
     assert claims["input-rank"].status is Status.REFUTED
     assert claims["assumption-3"].status is Status.UNDECIDED
     assert "the input does nothing" in claims["assumption-3"].evidence
+
+
+def test_an_eta_that_shares_a_direction_with_gamma_is_named_so():
+    x, y, u = (ca.SX.sym(name) for name in "xyu")
+    plant = AffineSystem([x, y], [u], [-x, -y], [1, 0], (x**2 + y**2) / 2, eta=[x + y])
+    law = NaturalDamping(2, 1, 1, 1, alpha_l=1, beta_l=1, K_l=1, R_l=1)
+    claim = _claims(Design(plant, {"x": 1}, law, sample_period="1e-2", name="shared"))["assumption-3"]
+    assert claim.status is Status.UNDECIDED
+    assert "orthogonal" in claim.hint

@@ -264,3 +264,9 @@ def test_the_continuous_and_the_sampled_loop_must_both_be_stable(monkeypatch):
     for stable, outcome in (((True, True), "checked"), ((True, False), "fails"), ((False, True), "fails")):
         monkeypatch.setattr(settings, "all_stable", lambda middle, over, widths, discrete, s=stable: s[discrete])
         assert outcomes(document)[ADJUSTABLE] == outcome, stable
+
+
+def test_a_witness_that_was_not_found_is_recorded_as_missing():
+    document, entry = _document("target and gains")
+    entry["witness"] = None
+    assert outcomes(signed(document))[ADJUSTABLE] == "recorded"
