@@ -135,7 +135,9 @@ def _bounds(
         if row is not None and any(v != 0 for v in row) and _range_solution(rows.B0, row) is not None
     ]
     if plant.system.eta is not None and len(chosen) < len(candidates):
-        return NaturalDampingBounds(plant.system.eta, tuple(names), None, None, _unusable(plant, gamma))
+        return NaturalDampingBounds(
+            plant.system.eta, tuple(names), None, None, _unusable(plant, gamma, plant.system.eta)
+        )
     limit = plant.system.n - plant.system.m
     chosen = chosen[:limit]
     if not chosen:
@@ -350,9 +352,9 @@ def _no_damped_coordinate(plant: Plant) -> Claim:
     )
 
 
-def _unusable(plant: Plant, gamma: ca.SX) -> Claim:
+def _unusable(plant: Plant, gamma: ca.SX, eta: ca.SX) -> Claim:
     """Why the given eta has no constants, where gamma may be the reason."""
-    slopes = [ca.jacobian(e, plant.system.x) for e in (gamma, plant.system.eta)]
+    slopes = [ca.jacobian(e, plant.system.x) for e in (gamma, eta)]
     try:
         field, (overlap,) = plant.exact(ca.mtimes(slopes[0], slopes[1].T))
     except (UnsupportedOperation, ZeroDivisionError):
