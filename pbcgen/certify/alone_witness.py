@@ -18,11 +18,11 @@ from pbcgen.certify.growth_witness import current_signs, increase
 from pbcgen.certify.writing import Writing
 from pbcgen.proof.tree import cover
 from pbcgen.reading.alone import Rests
-from pbcgen.reading.system import Fails
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.matrices import is_definite, symmetric
-from pbcgen.symbolic.plain.values import Field, Function, NotCheckable, sign
+from pbcgen.symbolic.plain.outcomes import Fails, NotCheckable
+from pbcgen.symbolic.plain.values import Field, Function, sign
 from pbcgen.symbolic.real import fraction
 from pbcgen.verify.stability import Stability
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from flint import fmpq, fmpq_mpoly
 
-from pbcgen.certify.leaves import by_sign
+from pbcgen.certify.signs import by_sign_or_harmonics
 from pbcgen.certify.writing import Writing
 from pbcgen.proof.squares import decompose_matrix
 from pbcgen.symbolic.field import Field as Algebra
@@ -249,7 +249,7 @@ def _through(field: Field, polynomial: fmpq_mpoly, k: int) -> tuple[Function, st
 def in_squares(field: Field, matrix: Sequence[Sequence[Function]], terms: Writing) -> list[list[Any]] | None:
     """A matrix of the checker's functions as a sum of squares, written; None if that is not found."""
     angles = _angles(field)
-    found = decompose_matrix(_as_quotients(field, matrix, angles), by_sign)
+    found = decompose_matrix(_as_quotients(field, matrix, angles), by_sign_or_harmonics)
     return None if found is None else terms.squares(found, dict(enumerate(angles, len(field.symbols))))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 from flint import fmpq
 
-from pbcgen.certify.leaves import Boxes, by_sign
+from pbcgen.certify.signs import Boxes, by_sign
 from pbcgen.certify.writing import Writing
 from pbcgen.control.derive import Derivation
 from pbcgen.models.laws import NaturalDamping, base_law

@@ -19,9 +19,9 @@ from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.lyapunov import Kind
 from pbcgen.proof.modal import Varying, blurs
 from pbcgen.proof.tree import tree
-from pbcgen.reading.system import Fails
 from pbcgen.symbolic.plain.boxes import Box, halves
 from pbcgen.symbolic.plain.elimination import Elimination
+from pbcgen.symbolic.plain.outcomes import Fails
 from pbcgen.symbolic.plain.values import partial, plain
 from pbcgen.symbolic.real import fraction
 from pbcgen.symbolic.tape import Tape

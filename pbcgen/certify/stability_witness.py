@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any
 
@@ -13,7 +13,7 @@ from flint import arb, arb_mat, ctx, fmpq
 
 from pbcgen.certify import velocity_witness
 from pbcgen.certify.alone_witness import Circuit, alone
-from pbcgen.certify.attraction_witness import combined, eliminate, read, steps_to_rest
+from pbcgen.certify.attraction_witness import combined, eliminate, in_squares, read, steps_to_rest
 from pbcgen.certify.dissipation_witness import sampled_damping
 from pbcgen.certify.growth_witness import convex_growth, growth
 from pbcgen.certify.settings_witness import adjustable
@@ -27,13 +27,13 @@ from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.lyapunov import Kind, lyapunov
 from pbcgen.proof.tree import tree
 from pbcgen.reading.growth import GLOBAL
-from pbcgen.reading.system import Fails
 from pbcgen.symbolic.linear import Inconsistent, solve
 from pbcgen.symbolic.plain.elimination import Elimination, put_in
-from pbcgen.symbolic.plain.formulas import rational
+from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import Matrix
+from pbcgen.symbolic.plain.outcomes import Fails, NotCheckable
 from pbcgen.symbolic.plain.spectra import krawczyk, stable
-from pbcgen.symbolic.plain.values import Function, Grow, NotCheckable, plain, sign, variables
+from pbcgen.symbolic.plain.values import Function, Grow, plain, sign, variables
 from pbcgen.symbolic.plain.values import partial as slope_by
 from pbcgen.symbolic.real import approximate, fraction, midpoint
 from pbcgen.verify.claims import LARGEST_ROUTH, bits_for
@@ -142,18 +142,27 @@ class _Work:
         return {"set": set_, "z": [str(fmpq(3 * k + 1, 64 * k + 70)) for k in symbols]}
 
     def limited(self, claim: Claim) -> Witness:
-        """`saturation` where a force is compensated and bounds of its terms do not suffice: the domain, or a period."""
-        system, trees = self.system, dict[str, str | None]()
+        """`saturation` where a force is compensated: what is left to each limit has no negative values."""
+        system = self.system
         if not system.compensated:
             return None
         if claim.status is Status.REFUTED:
             return {"q": list((claim.counterexample or {})["x"].values())}
-        for k, room in enumerate(system.rooms):
-            least, size = system.field.bound(room, {})
-            if least < size:
-                box, function = system.on_period(room)
-                trees[str(k)] = tree(function, [(fraction(lo), fraction(hi)) for lo, hi in box], {}, _MOST_BOXES)
-        return {"trees": trees} if trees and None not in trees.values() else None
+        limits = [in_squares(system.field, [[room]], self.terms) or self._by_boxes(room) for room in system.rooms]
+        return None if None in limits else {"limits": limits}
+
+    def _by_boxes(self, room: Function) -> list[Any] | None:
+        """What is left to a limit, over the domain or a period."""
+        used, place, one = sorted(room.used), self.terms.function(room), self.terms.put("constant 1")
+        function = Formulas.parse(self.terms.lines())
+        self.system.__dict__["placed"] = read(self.system, self.terms)
+        ends = [self.system.extent("saturation", self.system.placed[place], k) for k in used]
+
+        def value(x: Sequence[Any]) -> Any:
+            return function.walk(fmpq, {"state": dict(zip(used, x, strict=True))}, None, [place])[place]
+
+        found = tree(value, [(fraction(lo), fraction(hi)) for lo, hi in ends], {}, _MOST_BOXES)
+        return None if found is None else [["1", [["box", place, [found, used, {}], True]], [one]]]
 
     def local(self, claim: Claim) -> Witness:
         """`stable` and `asymptotically-stable`."""
@@ -219,7 +228,7 @@ class _Work:
         """`globally-asymptotically-stable`."""
         if claim.status is Status.REFUTED:
             return self._second(claim)
-        return self._attraction
+        return dict(claim.certificate) or self._attraction
 
     @cached_property
     def _attraction(self) -> Witness:

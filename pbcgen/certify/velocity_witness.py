@@ -13,10 +13,10 @@ from pbcgen.certify.writing import Writing
 from pbcgen.control.derive import Derivation
 from pbcgen.passivity.dissipation import port_damping
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.reading.system import Fails
 from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import Matrix, diagonal, plus, product, transpose
-from pbcgen.symbolic.plain.values import Grow, NotCheckable
+from pbcgen.symbolic.plain.outcomes import Fails, NotCheckable
+from pbcgen.symbolic.plain.values import Grow
 from pbcgen.symbolic.tape import Tape
 from pbcgen.verify.stability import Stability
 

@@ -44,7 +44,7 @@ def run(certificate: str, *, strict: bool = False, json: bool = False) -> Outcom
 
     Raises ModelError for a file that is no certificate, or was changed.
     """
-    from pbcgen.symbolic.plain.formulas import Malformed
+    from pbcgen.symbolic.plain.outcomes import Malformed
     from pbcgen.verify.files import verify
 
     path = Path(certificate)

@@ -30,7 +30,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import combinations_with_replacement
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from flint import fmpq
@@ -40,6 +40,7 @@ from scipy.linalg import matrix_balance
 from pbcgen.control.sectors import Polynomial, Sector, SectorLoop, plus
 from pbcgen.control.situation import Situation
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.models.laws import DynamicExtension
 from pbcgen.proof.claim import Status
 from pbcgen.proof.cutting_planes import interior
 from pbcgen.proof.definite import positive_definite
@@ -58,8 +59,8 @@ _Matrix: TypeAlias = list[list[fmpq]]
 _Array: TypeAlias = NDArray[np.float64]
 
 
-def absolutely_stable(situation: Situation) -> str | None:
-    """Why x* attracts from everywhere, in words, or None."""
+def absolutely_stable(situation: Situation) -> tuple[str, dict[str, Any]] | None:
+    """Why x* attracts from everywhere, in words, and for a certificate; or None."""
     system = situation.plant.system
     if situation.compensation is not None or system.domain or system.n + system.m > _MOST:
         return None
@@ -68,12 +69,14 @@ def absolutely_stable(situation: Situation) -> str | None:
     except (UnsupportedOperation, ZeroDivisionError):
         return None
     found = None if loop is None or loop.order > _MOST or loop.size > _LARGEST else storage_of(loop)
-    if found is None:
+    if loop is None or found is None:
         return None
     terms = ["a positive definite quadratic form of x - x* and the filters' states"]
     terms += ["integrals of what is in the sectors"] if any(found.popov) else []
     terms += ["cosh(beta_psi psi)"] if found.integral else []
-    return f"V = {' and '.join(terms)}: V' < 0 but at x*, whatever is in the sectors a_i <= phi_i / z_i <= b_i"
+    why = f"V = {' and '.join(terms)}: V' < 0 but at x*, whatever is in the sectors a_i <= phi_i / z_i <= b_i"
+    simple = isinstance(situation.base, DynamicExtension) and len(loop.sectors) == system.m and not _unseen(loop)
+    return why, found.written() if simple else {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +87,12 @@ class Storage:
     popov: list[fmpq]
     sectors: list[fmpq]
     integral: list[fmpq]
+
+    def written(self) -> dict[str, Any]:
+        """P by its lower triangle, and the weights."""
+        parts = {"popov": self.popov, "sectors": self.sectors, "integral": self.integral}
+        P = [[str(v) for v in row[: i + 1]] for i, row in enumerate(self.P)]
+        return {"P": P} | {name: [str(v) for v in part] for name, part in parts.items()}
 
 
 def storage_of(loop: SectorLoop) -> Storage | None:

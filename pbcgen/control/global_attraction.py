@@ -50,8 +50,11 @@ def globally(situation: Situation, by_lyapunov: bool, asymptotic: Claim, stored:
     rate = growth_rate(situation)
     if rate is not None:
         return _escaping(rate)
-    why = absolutely_stable(situation)
-    return proved_or_open if why is None else _verdict(Status.PROVED, METHOD, why)
+    absolute = absolutely_stable(situation)
+    if absolute is None:
+        return proved_or_open
+    why, numbers = absolute
+    return replace(_verdict(Status.PROVED, METHOD, why), certificate=numbers)
 
 
 def by_storage(situation: Situation, by_lyapunov: bool) -> Claim:

@@ -13,6 +13,7 @@ from math import isqrt
 
 from flint import arb
 
+from pbcgen.proof.squares import Square
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.real import BITS, fraction, precision, rational, upper
 
@@ -28,22 +29,55 @@ def harmonic_bounds(function: Quotient) -> tuple[Fraction, Fraction] | None:
 
     The second number is exact where all amplitudes are rational, and rounded upwards else.
     """
+    found = _series(function)
+    if found is None:
+        return None
+    mean, series, _ = found
+    return mean, sum((_modulus(a * a + b * b) for a, b in series.values()), Fraction(0))
+
+
+def harmonic_squares(function: Quotient) -> list[Square] | None:
+    """The function as a sum of squares, where its mean is no less than the sum of its amplitudes R; or None.
+
+    ``R + a cos(z) + b sin(z) = ((R cos(z) + a)^2 + (R sin(z) + b)^2 + R^2 - a^2 - b^2) / (2 R)`` for each harmonic.
+    """
+    found = _series(function)
+    if found is None:
+        return None
+    field, (left, series, angles) = function.field, found
+    squares: list[Square] = []
+    for w, (real, imaginary) in series.items():
+        a, b = 2 * real, -2 * imaginary
+        if w < tuple(-k for k in w) or not (a or b):  # the same harmonic again, or none
+            continue
+        R, z = _modulus(a * a + b * b), field.const(0)
+        for count, angle in zip(w, angles, strict=False):
+            z = z + angle * field.const(count)
+        for wave, shift in ((field.cos(z), a), (field.sin(z), b)):
+            squares.append(Square(rational(1 / (2 * R)), (), (wave * field.const(R) + field.const(shift),)))
+        left -= R - (R * R - a * a - b * b) / (2 * R)
+    if left < 0:
+        return None
+    return squares + ([Square(rational(left), (), (field.const(1),))] if left else [])
+
+
+def _series(function: Quotient) -> tuple[Fraction, _Series, list[Quotient]] | None:
+    """Mean, harmonics and angles of a polynomial in sines and cosines."""
     terms = function.numerator.to_dict()
     if not function.is_polynomial() or len(terms) > _MOST_TERMS:
         return None
-    angles: dict[str, int] = {}
+    angles: dict[str, tuple[int, Quotient]] = {}
     series: _Series = {}
     for exponents, coefficient in terms.items():
         product = _product(function.field, {k: int(e) for k, e in enumerate(exponents) if e}, angles)
         if product is None or len(series) > _MOST_HARMONICS:
             return None
         _add(series, product, fraction(coefficient))
-    still = (0,) * _MOST_FACTORS
-    mean = series.pop(still, (Fraction(0), Fraction(0)))[0]
-    return mean, sum((_modulus(a * a + b * b) for a, b in series.values()), Fraction(0))
+    mean = series.pop((0,) * _MOST_FACTORS, (Fraction(0), Fraction(0)))[0]
+    return mean, series, [angle for _, angle in angles.values()]
 
 
-def _product(field: Field, powers: Mapping[int, int], angles: dict[str, int]) -> _Series | None:
+def _product(field: Field, powers: Mapping[int, int], angles: dict[str, tuple[int, Quotient]]) -> _Series | None:
     """A product of powers of sines and cosines; ``angles`` gets a place for each argument."""
     if sum(powers.values()) > _MOST_FACTORS:
         return None
@@ -53,7 +87,8 @@ def _product(field: Field, powers: Mapping[int, int], angles: dict[str, int]) ->
         atom = field.atoms.get(k)
         if atom is None or atom.kind not in ("sin", "cos"):
             return None
-        place = angles.setdefault(f"{atom.argument.numerator}|{atom.argument.denominator}", len(angles))
+        key = f"{atom.argument.numerator}|{atom.argument.denominator}"
+        place, _ = angles.setdefault(key, (len(angles), atom.argument))
         if place >= _MOST_FACTORS:
             return None
         for _ in range(power):

@@ -7,20 +7,21 @@ from typing import Any
 
 from flint import arb, fmpq
 
-from pbcgen.reading.growth import GLOBAL, Growth
-from pbcgen.reading.system import require
+from pbcgen.reading.growth import GLOBAL
+from pbcgen.reading.sectors import Sectors
 from pbcgen.symbolic.plain.boxes import Box, ball, covered
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, diagonal, dot, is_definite, plus, product, symmetric, transpose
+from pbcgen.symbolic.plain.outcomes import NotCheckable, require
 from pbcgen.symbolic.plain.spectra import krawczyk, preconditioned, stable
-from pbcgen.symbolic.plain.values import NotCheckable, apply, power, sign
+from pbcgen.symbolic.plain.values import apply, power, sign
 
 #: What is free at the rests, and U, Gamma and the equations as functions of that.
 Rests = tuple[list[int], list[Any]]
 
 
-class Alone(Growth):
+class Alone(Sectors):
     """Two rests of the closed loop with the constant inputs U and ``Gamma = gamma + K_c^-1 U`` have
 
     ``U - u* + alpha tanh(beta (Gamma - Gamma*)) = 0``, hence ``dU^T dGamma < 0`` unless dU = 0, and then dGamma = 0.
@@ -59,9 +60,8 @@ class Alone(Growth):
 
     def along(self, chain: Elimination) -> Rests:
         """What this leaves free, and U, Gamma and the equations as functions of that."""
-        U, gamma, zero = (
-            [chain.reduced(v) for v in p] for p in (self.constants, self.column("gamma"), chain.equations)
-        )
+        parts = self.constants, self.column("gamma"), chain.equations
+        U, gamma, zero = ([chain.reduced(v) for v in part] for part in parts)
         G = [a + b for a, (b,) in zip(gamma, product(self.softness, [[v] for v in U]), strict=True)]
         return [k for k in range(self.n + self.m) if k not in chain.solved], U + G + zero
 
@@ -84,8 +84,8 @@ class Alone(Growth):
         units = [tuple(int(j == self.field.pool + k) for j in size) for k in range(self.n)]
         A = [[a.top.to_dict().get(unit, fmpq(0)) for unit in units] for a in f]
         rest = [a - dot(row, self.field.symbols[: self.n]) for a, row in zip(f, A, strict=True)]
-        if not all(map(self.field.bounded, [*rest, *(v for row in self.functions("g") for v in row)])):
-            raise NotCheckable("the plant is not linear but for what is bounded")
+        bounded = all(map(self.field.bounded, [*rest, *(v for row in self.functions("g") for v in row)]))
+        require(bounded, "the plant is not linear but for what is bounded", NotCheckable)
         shifted = plus(A, diagonal([rate] * self.n), -1)
         require(stable(shifted, False) is False, "no mode certainly grows so fast")
 

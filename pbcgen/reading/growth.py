@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pbcgen.reading.settings import Family
-from pbcgen.reading.system import require
 from pbcgen.symbolic.plain.elimination import put_in, slopes
-from pbcgen.symbolic.plain.formulas import rational
-from pbcgen.symbolic.plain.matrices import Matrix, diagonal, dot, plus, symmetric
+from pbcgen.symbolic.plain.formulas import combination
+from pbcgen.symbolic.plain.matrices import Matrix, diagonal, plus, symmetric
+from pbcgen.symbolic.plain.outcomes import require
 from pbcgen.symbolic.plain.values import sign
 
 GLOBAL = "globally-asymptotically-stable"
@@ -24,8 +24,7 @@ class Growth(Family):
         Their Jacobian J by y has ``sym J >= least I``, and no other state occurs. Then y is known too.
         """
         states = step["states"]
-        values = [dot([rational(c) for c in row.values()], [functions[int(k)] for k in row]) for row in step["rows"]]
-        values = [self.field.lift(v) for v in values]
+        values = [self.field.lift(combination(row, functions)) for row in step["rows"]]
         require(all(int(k) >= 0 for row in step["rows"] for k in row), "there is no such function")
         require(set().union(*(v.used for v in values)) <= known | {*states}, "another state occurs")
         J = symmetric([[slopes(self.field, v)[k] for k in states] for v in values])
@@ -66,7 +65,7 @@ class Growth(Family):
         outgrown = [sign(a - abs(v)) == 1 for a, v in zip(self.model.vector("alpha"), force, strict=True)]
         for j, row in enumerate(witness["rows"]):
             rest = rest - gamma[j] * linear[j]
-            affine = gamma[j] - dot([rational(c) for c in row.values()], [parts[int(k)][1] for k in row])
+            affine = gamma[j] - combination(row, [t for _, t in parts])
             steady = [parts[int(k)][0].number() for k in row]
             slow = all(steady) and self.field.lift(affine).number() is not None
             require(outgrown[j] or slow, "gamma may outgrow the storage")

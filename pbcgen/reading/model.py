@@ -9,7 +9,8 @@ from typing import Any
 
 from flint import fmpq
 
-from pbcgen.symbolic.plain.formulas import Formulas, Malformed, rational
+from pbcgen.symbolic.plain.formulas import Formulas, rational
+from pbcgen.symbolic.plain.outcomes import Malformed, require
 
 
 @dataclass(frozen=True)
@@ -29,30 +30,26 @@ class Model:
     @staticmethod
     def parse(text: str) -> Model:
         """Read the text. Raises Malformed for gains that no law has."""
+
+        def found(pattern: str) -> list[Any]:
+            return re.findall(f"^{pattern}$", text, re.M)
+
         lines = text.splitlines()
         words = {key: rest.split() for key, _, rest in (line.partition(" ") for line in lines) if key}
-        named = dict(re.findall(r"^parameter (.+) = (.+)$", text, re.M))
-        domain = {
-            name: [_bound(lo), _bound(hi)] for name, lo, hi in re.findall(r"^domain (\S+) (\S+) (\S+)$", text, re.M)
-        }
-        target = {name: rational(value) for name, value in re.findall(r"^target (.+) = (\S+)$", text, re.M)}
-        m = len(words["inputs"])
-        gains = {name: _gain(value, m) for name, value in re.findall(r"^gain (\S+) = (.+)$", text, re.M)}
-        limits = [
-            (_numbers(row), rational(bound)) for row, bound in re.findall(r"^limit \[(.+)\] u <= (\S+)$", text, re.M)
-        ]
-        for name, *bounds in re.findall(r"^limit ([^\s\[]+) (\S+) (\S+)$", text, re.M):
+        domain = {name: [_bound(lo), _bound(hi)] for name, lo, hi in found(r"domain (\S+) (\S+) (\S+)")}
+        target = {name: rational(value) for name, value in found(r"target (.+) = (\S+)")}
+        gains = {name: _gain(value, len(words["inputs"])) for name, value in found(r"gain (\S+) = (.+)")}
+        limits = [(_numbers(row), rational(bound)) for row, bound in found(r"limit \[(.+)\] u <= (\S+)")]
+        for name, *bounds in found(r"limit ([^\s\[]+) (\S+) (\S+)"):
             unit = [fmpq(int(name == other)) for other in words["inputs"]]
             for side, bound in zip((-1, 1), map(_bound, bounds), strict=True):
                 if bound is not None:
                     limits.append(([side * v for v in unit], side * bound))
-        settings: list[tuple[str, int | None, fmpq, fmpq]] = [
-            (name, None, rational(lo), rational(hi))
-            for name, lo, hi in re.findall(r"^adjustable target (.+) (\S+) (\S+)$", text, re.M)
-        ]
-        for name, entry, lo, hi in re.findall(r"^adjustable gain (\S+) (\d+) (\S+) (\S+)$", text, re.M):
-            settings.append((name, int(entry) - 1, rational(lo), rational(hi)))
-        numbers = [rational(v) for v in named.values()]
+        settings: list[Any] = [(name, None, *ends) for name, *ends in found(r"adjustable target (.+) (\S+) (\S+)")]
+        rows = found(r"adjustable gain (\S+) (\d+) (\S+) (\S+)")
+        settings += [(name, int(entry) - 1, *ends) for name, entry, *ends in rows]
+        settings = [(name, entry, rational(lo), rational(hi)) for name, entry, lo, hi in settings]
+        numbers = [rational(value) for _, value in found(r"parameter (.+) = (.+)")]
         return Model(Formulas.parse(lines), words, numbers, domain, target, gains, limits, settings)
 
     def is_constant(self, name: str) -> bool:
@@ -87,8 +84,7 @@ def _gain(text: str, m: int) -> list[list[fmpq]]:
     """A vector as one row, a matrix as its rows; one number stands for every channel."""
     rows = [_numbers(row) for row in re.findall(r"[^\[\]]+", text) if row.strip()]
     if not text.startswith("[["):
-        if min(rows[0]) <= 0:
-            raise Malformed("a gain is not positive")
+        require(min(rows[0]) > 0, "a gain is not positive", Malformed)
         return [rows[0] * m] if len(rows[0]) == 1 else rows
     single = len(rows) == len(rows[0]) == 1
     return [[rows[0][0] * (i == j) for j in range(m)] for i in range(m)] if single else rows

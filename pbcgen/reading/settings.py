@@ -11,7 +11,7 @@ from typing import Any, Self
 from flint import arb, fmpq
 
 from pbcgen.reading.sums import Sums
-from pbcgen.symbolic.plain.boxes import Box, ball, covered, shown
+from pbcgen.symbolic.plain.boxes import Box, ball
 from pbcgen.symbolic.plain.formulas import Formulas, Lift, rational
 from pbcgen.symbolic.plain.matrices import dot, negative, product
 from pbcgen.symbolic.plain.spectra import all_stable, inverse, krawczyk
@@ -133,15 +133,8 @@ class Family(Sums):
         middle, over = self.spread(cell)
         widths = [(hi - lo) / 2 for lo, hi in cell]
         inside = self.inside(dict(zip(self.states, over.point[0], strict=True)), {1})
-        return (
-            inside
-            and all_stable(middle.continuous, over.continuous, widths, False)
-            and all_stable(middle.sampled, over.sampled, widths, True)
-        )
-
-    def passes_by(self, tree: str) -> bool:
-        """Whether every cell of the box passes, the tree saying how it is cut."""
-        return covered(tree, self.box, lambda kind, part: kind == "." and self.passes(part))
+        loops = (middle.continuous, over.continuous, widths, False), (middle.sampled, over.sampled, widths, True)
+        return inside and all(all_stable(*loop) for loop in loops)
 
     def room(self, k: int) -> Callable[[Sequence[Any]], Any]:
         """What is left to a limit of the inputs, as a function of the settings; the force is not compensated."""
@@ -153,11 +146,6 @@ class Family(Sums):
         bounds = [(at[name], lo, hi) for name, (lo, hi) in self.model.domain.items()]
         left = [v - lo for v, lo, _ in bounds if lo is not None] + [hi - v for v, _, hi in bounds if hi is not None]
         return -1 in map(sign, [*left, *([] if self.compensated else self.rooms)])
-
-    def fits(self, trees: Sequence[str]) -> bool:
-        """Whether the inputs stay in their limits at all settings, no force being compensated: by a tree for each."""
-        limits = range(len(self.model.limits))
-        return len(trees) == len(limits) and all(shown(trees[k], self.box, self.room(k), {}) for k in limits)
 
     def is_described(self, claim: str) -> bool:
         """Whether the domain of a claim names the settings with their ranges, or conditions that depend on others."""

@@ -8,12 +8,13 @@ from typing import Any
 
 from flint import fmpq
 
-from pbcgen.reading.system import System, require
-from pbcgen.symbolic.plain.boxes import Box, shown
-from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
-from pbcgen.symbolic.plain.formulas import Formulas, Malformed, rational
+from pbcgen.reading.system import System
+from pbcgen.symbolic.plain.boxes import shown
+from pbcgen.symbolic.plain.elimination import Elimination, slopes
+from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import Matrix, dot, plus
-from pbcgen.symbolic.plain.values import AT_ZERO, INCREASING, Dual, NotCheckable, never_negative, partial, plain
+from pbcgen.symbolic.plain.outcomes import Malformed, require
+from pbcgen.symbolic.plain.values import AT_ZERO, INCREASING, Dual, never_negative, partial, plain
 
 _AMPLITUDES = ("alpha", "alpha_c", "alpha_l", "alpha_psi", "k_p")
 
@@ -25,8 +26,7 @@ class Sums(System):
         super().__init__(document, *settings)
         self.passed: set[str] = set()
         self.readings = Formulas.parse(document["readings"])
-        if len(self.witness) != len(document["claims"]):
-            raise Malformed("a claim is made twice")
+        require(len(self.witness) == len(document["claims"]), "a claim is made twice", Malformed)
         self.domain, self.status = ({c["claim"]: c[key] for c in document["claims"]} for key in ("domain", "status"))
 
     def given(self, claim: str, name: str) -> list[fmpq]:
@@ -88,13 +88,13 @@ class Sums(System):
 
         ``(T(a) - T(b)) (a - b)`` with T increasing (b = None: zero). Alone: T(a), or ``1 - T(a)^2`` for a bounded T. Or
         what its terms show to be positive.
-        Where the claim is made on the model's domain: how far state a is above or below its bound, and what a tree b
-        of boxes shows.
+        Or what a tree b of boxes shows, on the domain that the claim is made for or on a period; and on the domain how
+        far state a is above or below its bound.
         """
-        if kind in ("above", "below", "box"):
+        if kind == "box":
+            return self._by_boxes(claim, a, *b)
+        if kind in ("above", "below"):
             require(self.on_box(claim), "the claim is not restricted to the domain")
-            if kind == "box":
-                return self._by_boxes(a, *b)
             bound = self.model.domain[self.states[a]][kind == "below"]
             require(bound is not None and a >= 0, "there is no such bound")
             return (self.field.symbols[a] - bound) * (1 if kind == "above" else -1)
@@ -105,8 +105,8 @@ class Sums(System):
         require(found is not None and (b is not None or kind in AT_ZERO), "a factor has no sign")
         return found
 
-    def _by_boxes(self, place: int, tree: str, used: Sequence[int], zeros: Mapping[str, str]) -> Any:
-        """A term that is nonnegative on the domain of the states it uses; it and its slopes vanish at the zeros."""
+    def _by_boxes(self, claim: str, place: int, tree: str, used: Sequence[int], zeros: Mapping[str, str]) -> Any:
+        """A term that is nonnegative where the states it uses are; it and its slopes vanish at the zeros."""
         at = {int(k): rational(v) for k, v in zeros.items()}
 
         def value(x: Sequence[Any], lift: Callable[[Any], Any] = fmpq) -> Any:
@@ -117,7 +117,7 @@ class Sums(System):
         if at:
             found = value(moved, self.still)
             self.zero([plain(found), *(partial(found, k) for k in at)], "the function does not vanish at its zeros")
-        box = [(lo, hi) for lo, hi in (self.model.domain[self.states[j]] for j in used)]
+        box = [self.extent(claim, self.placed[place], j) for j in used]
         require(shown(tree, box, value, at), "the boxes do not show that a function is nonnegative")
         return self.placed[place]
 
@@ -130,30 +130,22 @@ class Sums(System):
         left = [b - dot(row, held) - dot([abs(a) for a in row], sizes) for row, b in self.model.limits]
         return [self.field.lift(v) for v in left] if self.compensated else left
 
-    def on_period(self, function: Any) -> tuple[Box, Callable[[Sequence[Any]], Any]]:
-        """A box that holds the domain, or a period, of each position that a function depends on, and the function.
+    def extent(self, claim: str, function: Any, k: int) -> tuple[Any, Any]:
+        """Where state k is for a claim: the domain that it is restricted to, or a period of the function.
 
-        Without a domain it must occur inside sines and cosines with one frequency.
+        The state must then occur inside sines and cosines only, with one frequency.
         """
-        field, box, degrees = self.field, dict[int, tuple[Any, Any]](), function.top.degrees()
-        atoms = [atom for i, atom in enumerate(field.atoms.items(), 1) if degrees[field.pool - i]]
-        for k in sorted(function.used):
-            inside = [(kind in ("sin", "cos"), slopes(field, a)[k]) for (kind, _, _), a in atoms if k in a.used]
-            frequencies = {periodic and abs(slope.number() or 0) for periodic, slope in inside}
-            lo, hi = self.model.domain.get(self.states[k], (None, None))
-            if lo is None or hi is None:
-                outside = degrees[field.pool + k] or not function.bottom.is_constant()
-                if outside or len(frequencies) != 1 or not min(frequencies):
-                    raise NotCheckable("a function is not periodic in its states")
-                hi = fmpq(22, 7) / frequencies.pop()  # 22/7 > pi
-                lo = -hi
-            box[k] = lo, hi
-
-        def value(x: Sequence[Any]) -> Any:
-            place = dict(zip(box, x, strict=True))
-            return put_in(field, function, [place.get(k, fmpq(0)) for k in range(len(field.symbols))])
-
-        return [*box.values()], value
+        lo, hi = self.model.domain.get(self.states[k], (None, None))
+        if lo is not None and hi is not None and (claim == "saturation" or self.on_box(claim)):
+            return lo, hi
+        degrees, pool = function.top.degrees(), self.field.pool
+        atoms = [atom for i, atom in enumerate(self.field.atoms.items(), 1) if degrees[pool - i]]
+        inside = [(kind in ("sin", "cos"), slopes(self.field, a)[k]) for (kind, _, _), a in atoms if k in a.used]
+        frequencies = {periodic and abs(slope.number() or 0) for periodic, slope in inside}
+        periodic = function.bottom.is_constant() and not degrees[pool + k] and len(frequencies) == 1
+        require(periodic and min(frequencies), "a function is not periodic, and its state has no bounds")
+        end = fmpq(22, 7) / frequencies.pop()  # 22/7 > pi
+        return -end, end
 
     def on_box(self, claim: str) -> bool:
         """Whether the claim is stated on the domain of the model."""

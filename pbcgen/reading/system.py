@@ -10,20 +10,11 @@ from flint import arb, fmpq, fmpq_mat
 
 from pbcgen.reading.model import Model
 from pbcgen.reading.velocity import solves
-from pbcgen.symbolic.plain.formulas import Formulas, Known, Lift, rational
+from pbcgen.symbolic.plain.formulas import Formulas, Known, Lift, combination, rational
 from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, negative, plus, product, symmetric, transpose
+from pbcgen.symbolic.plain.outcomes import NotCheckable, require
 from pbcgen.symbolic.plain.spectra import inverse, krawczyk, zero_order_hold
-from pbcgen.symbolic.plain.values import Dual, Field, Function, NotCheckable, partial, plain, sign, variables
-
-
-class Fails(Exception):
-    """The certificate does not show the claim."""
-
-
-def require(condition: object, otherwise: str) -> None:
-    """Raise Fails unless the condition holds."""
-    if not condition:
-        raise Fails(otherwise)
+from pbcgen.symbolic.plain.values import Dual, Field, Function, partial, plain, sign, variables
 
 
 class Witness(dict[str, Any]):
@@ -83,8 +74,7 @@ class System:
 
     def in_states(self) -> None:
         """Raise NotCheckable for what is not said of systems in (q, v)."""
-        if self.inertia:
-            raise NotCheckable("this is not known in positions and velocities")
+        require(not self.inertia, "this is not known in positions and velocities", NotCheckable)
 
     def state_at(self, z: Sequence[Any], lift: Lift) -> list[Any]:
         """The state with these coordinates: (q, M v) for (q, v), else z itself."""
@@ -146,8 +136,8 @@ class System:
         by_q, by_v, v = row[: self.half], row[self.half :], self.field.symbols[self.half : self.n]
         if not any(a.top for a in by_v):
             return row
-        if any((a - plain(p)).top for a, p in zip(by_v, self.momenta, strict=True)):
-            raise NotCheckable("a function of the momenta is not the kinetic energy")
+        kinetic = not any((a - plain(p)).top for a, p in zip(by_v, self.momenta, strict=True))
+        require(kinetic, "a function of the momenta is not the kinetic energy", NotCheckable)
         return [a - dot([partial(p, k) for p in self.momenta], v) for k, a in enumerate(by_q)] + v
 
     @cached_property
@@ -239,8 +229,7 @@ class System:
         """Equation k is a combination of others that hold."""
         require({*map(int, weights)} <= {*rows}, "an equation follows from others that are not shown")
         found = self.equations(known)
-        rest = [found[k], *(found[int(j)] * -rational(weight) for j, weight in weights.items())]
-        self.zero([sum(rest, self.field.lift(0))], "an equation does not follow from the others")
+        self.zero([found[k] - combination(weights, found)], "an equation does not follow from the others")
 
     def inside(self, z: Mapping[str, Any], slack: Collection[int] = (0, 1)) -> bool:
         """Whether these states are in the domain for sure; by default the edge is part of it."""
@@ -351,20 +340,17 @@ class System:
         parts = [(product(gains["R_c"], k, gamma), product(gains["R_c"], plus(k, gains["K_c"])), k, product(k, gamma))]
         if "natural-damping" in self.law:
             k = diagonal([a * b for a, b in zip(gains["alpha_l"][0], gains["beta_l"][0], strict=True)])
-            read = product(k, self.upsilon(len(self.star["eta"])), self.jacobian(self.star["eta"]))
-            parts.append(
-                (product(gains["R_l"], read), product(gains["R_l"], k, gains["K_l"]), product(k, gains["K_l"]), read)
-            )
+            read, held = product(k, self.upsilon(len(self.star["eta"])), self.jacobian(self.star["eta"])), gains["K_l"]
+            parts.append((product(gains["R_l"], read), product(gains["R_l"], k, held), product(k, held), read))
         if "integral" in self.law:
             k = diagonal([a * b for a, b in zip(gains["alpha_psi"][0], gains["beta_psi"][0], strict=True)])
             parts.append((negative(product(k, gamma)), gains["R_psi"], k, product(zero, gamma)))
         P, C = blocks([[part[0]] for part in parts]), blocks([[part[2] for part in parts]])
         Q = blocks([[part[1] if part is other else zero for other in parts] for part in parts])
-        D = (
-            self.hessian(self.potential(variables(self.point[0], 3 if self.moves else 2)[: self.half], fmpq))[: self.m]
-            if self.compensated
-            else product(zero, gamma)
-        )
+        D = product(zero, gamma)
+        if self.compensated:
+            q = variables(self.point[0], 3 if self.moves else 2)[: self.half]
+            D = self.hessian(self.potential(q, fmpq))[: self.m]
         for part in parts:
             D = plus(D, part[3], -1)
         return negative(P), negative(Q), negative(C), D

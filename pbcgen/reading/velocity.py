@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from pbcgen.symbolic.plain.formulas import Formulas
 from pbcgen.symbolic.plain.matrices import Matrix, diagonal, dot, product, transpose
-from pbcgen.symbolic.plain.values import Field, Grow, NotCheckable
+from pbcgen.symbolic.plain.outcomes import NotCheckable
+from pbcgen.symbolic.plain.values import Field, Grow
 
 #: The place of each entry of M among the instructions, None for a zero.
 Places = Sequence[Sequence[int | None]]

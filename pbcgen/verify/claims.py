@@ -9,9 +9,8 @@ from typing import Any
 from flint import ctx
 
 from pbcgen.reading.growth import GLOBAL
-from pbcgen.reading.system import Fails, require
-from pbcgen.symbolic.plain.formulas import Malformed
-from pbcgen.symbolic.plain.values import Grow, NotCheckable
+from pbcgen.symbolic.plain.outcomes import Fails, Malformed, NotCheckable, require
+from pbcgen.symbolic.plain.values import Grow
 from pbcgen.verify.stability import Stability
 
 #: Bits of the balls, and more for each state: a characteristic polynomial loses many. Where a large loop is shown to be

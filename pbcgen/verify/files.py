@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pbcgen.symbolic.plain.formulas import Malformed
+from pbcgen.symbolic.plain.outcomes import Malformed, require
 from pbcgen.verify.claims import Finding, examine
 
 FORMAT = 1
@@ -38,17 +38,16 @@ def verify(path: Path) -> tuple[Mapping[str, Any], list[Finding]]:
 def read(path: Path) -> dict[str, Any]:
     """The certificate in a file. Raises Malformed."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise Malformed(f"{path} cannot be read: {error}") from None
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise Malformed(f"{path} is not a certificate of format {FORMAT}")
-    if any(not isinstance(document.get(name), list) for name in _LISTS):
-        raise Malformed(f"{path} is not complete")
-    if document.get("digest") != digest(document):
-        raise Malformed(f"{path} was changed: it does not have the digest that it states")
-    if document.get("model_hash") != hashlib.sha256("\n".join([*document["model"], ""]).encode()).hexdigest():
-        raise Malformed(f"{path} does not hold the model that its hash names")
+    known = isinstance(document, dict) and document.get("format") == FORMAT
+    require(known, f"{path} is not a certificate of format {FORMAT}", Malformed)
+    require(all(isinstance(document.get(name), list) for name in _LISTS), f"{path} is not complete", Malformed)
+    same = document.get("digest") == digest(document)
+    require(same, f"{path} was changed: it does not have the digest that it states", Malformed)
+    hashed = hashlib.sha256("\n".join([*document["model"], ""]).encode()).hexdigest()
+    require(document.get("model_hash") == hashed, f"{path} does not hold the model that its hash names", Malformed)
     return document
 
 

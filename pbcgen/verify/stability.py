@@ -11,12 +11,13 @@ from typing import Any
 from flint import arb_mat, fmpq
 
 from pbcgen.reading.growth import GLOBAL as _GLOBAL
-from pbcgen.reading.system import require
+from pbcgen.symbolic.plain.boxes import covered, shown
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
-from pbcgen.symbolic.plain.formulas import rational
+from pbcgen.symbolic.plain.formulas import combination, rational
 from pbcgen.symbolic.plain.matrices import diagonal, dot, is_definite, plus, product, transpose
+from pbcgen.symbolic.plain.outcomes import NotCheckable, require
 from pbcgen.symbolic.plain.spectra import stable
-from pbcgen.symbolic.plain.values import NotCheckable, sign
+from pbcgen.symbolic.plain.values import sign
 from pbcgen.verify.assumptions import Assumptions
 
 
@@ -35,7 +36,7 @@ class Stability(Assumptions):
 
     def lyapunov(self, least: bool = True) -> None:
         """The Lyapunov function of Prop. pro1, pro2 or pro4: it does not grow, and has a minimum at x*."""
-        require("integral" not in self.law, "the law has no Lyapunov function")
+        require("integral" not in self.law, "the law has no Lyapunov function", NotCheckable)
         filtered = "passive-output" not in self.law
         checks = [self.proved_assumption_1, self.proved_passive_output]
         checks += [self.proved_gain_definiteness] if filtered else []
@@ -142,19 +143,15 @@ class Stability(Assumptions):
         if "cases" in witness:
             source, *cases = witness["cases"]
             factors = [self.field.lift(self.placed[place]) for place, _ in cases]
-            require(
-                chain.leaves(source, prod(factors, start=self.field.lift(1))) and self.field.entire(),
-                "no factor need vanish",
-            )
+            vanishes = chain.leaves(source, prod(factors, start=self.field.lift(1))) and self.field.entire()
+            require(vanishes, "no factor need vanish")
             for factor, (_, case) in zip(factors, cases, strict=True):
                 other = copy.copy(chain)
                 other.equations = [*chain.equations, factor]
                 self.settles(other, case)
             return
-        still = [
-            dot([1, *(-rational(c) for c in row.values())], [rate, *(chain.equations[int(j)] for j in row)])
-            for rate, row in ((rate, witness.get("rates", {}).get(str(i), {})) for i, rate in enumerate(self.rates))
-        ]
+        weights = (witness.get("rates", {}).get(str(i), {}) for i in range(len(self.rates)))
+        still = [v - combination(row, chain.equations) for v, row in zip(self.rates, weights, strict=True)]
         self.zero([chain.reduced(self.field.lift(v)) for v in still], "the invariant set may move")
 
     # --- on the whole space ----------------------------------------------------------------------------------------
@@ -162,13 +159,15 @@ class Stability(Assumptions):
     def proved_globally_asymptotically_stable(self) -> None:
         """The Lyapunov function is radially unbounded, and x* is the only point of LaSalle's set."""
         witness = self.witness[_GLOBAL]
+        if "popov" in witness:
+            return self.in_sectors()
         require(not self.model.domain, "the model is restricted to a domain")
         self.lyapunov()
         require({self.domain[c] for c in ("assumption-1", "passive-output")} == {"all x"}, "it holds on a domain only")
         self.grows(witness)
         self.settles(self.undriven(), witness)
         self.alone(witness["alone"])
-        require(self.field.entire(moduli=True), "the model may not be smooth everywhere")
+        return require(self.field.entire(moduli=True), "the model may not be smooth everywhere")
 
     def refuted_globally_asymptotically_stable(self) -> None:
         """x* is not attractive, or there is another equilibrium: by Krawczyk's test, apart from x*."""
@@ -180,17 +179,15 @@ class Stability(Assumptions):
 
     def proved_sampled_stable(self) -> None:
         """The storage decreases, where its damping is given; else the linearised sampled loop is Schur."""
-        whole, storage = (
-            self.domain["sampled-stable"] == "sampled loop, all x",
-            "Lambda" in self.witness["sampled-stable"],
-        )
+        whole = self.domain["sampled-stable"] == "sampled loop, all x"
+        storage = "Lambda" in self.witness["sampled-stable"]
         if self.jitter and ("natural-damping" in self.law or not storage):  # the controller knows its own period only
             raise NotCheckable("periods that vary")
         if storage:
             self.once(self.proved_globally_asymptotically_stable if whole else self.proved_asymptotically_stable)
             return self._decreases()
-        if self.is_schur is not False and (whole or not self.is_schur):
-            raise NotCheckable("the certificate does not hold the damping that sampling consumes")
+        known = self.is_schur is False or (self.is_schur and not whole)
+        require(known, "the certificate does not hold the damping that sampling consumes", NotCheckable)
         return require(self.is_schur, "the linearised sampled loop is not Schur")
 
     @cached_property
@@ -235,14 +232,15 @@ class Stability(Assumptions):
     def proved_adjustable(self) -> None:
         """All settings have an x* that meets the target; near it the loop is stable, sampled too; the inputs fit."""
         witness = self.witness["adjustable"]
-        if self.jitter:
-            raise NotCheckable("periods that vary")
+        require(not self.jitter, "periods that vary", NotCheckable)
         cells = witness["cells"]
         require(self.model.settings and self.rests(), "the settings have other equilibria")
-        require(self.passes_by(cells), "a cell of settings may fail")
-        require(self.compensated or self.fits(witness["trees"]), "an input may leave its limits")
+        passed = covered(cells, self.box, lambda kind, part: kind == "." and self.passes(part))
+        require(passed, "a cell of settings may fail")
         if self.compensated:
-            self.at([hi for _, hi in self.box]).proved_saturation()
+            return self.at([hi for _, hi in self.box]).proved_saturation()
+        fits = (shown(witness["trees"][k], self.box, self.room(k), {}) for k in range(len(self.model.limits)))
+        return require(all(fits), "an input may leave its limits")
 
     def refuted_adjustable(self) -> None:
         """At some settings there is no x*, or it leaves the domain, or an input its limits, or the loop is unstable."""

@@ -148,7 +148,8 @@ def test_a_force_is_bounded_on_the_domain_of_the_model_only():
 
 def test_places_and_states_are_counted_from_the_first():
     """Python counts from the end where an index is negative: what stands there is another thing than what is meant."""
-    from pbcgen.symbolic.plain.formulas import Formulas, Malformed
+    from pbcgen.symbolic.plain.formulas import Formulas
+    from pbcgen.symbolic.plain.outcomes import Malformed
 
     for line in ("  0 state -1", "  0 parameter -1"):
         with pytest.raises(Malformed):

@@ -24,7 +24,7 @@ from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.models.identity import canonical_text
 from pbcgen.models.loader import load
-from pbcgen.symbolic.plain.formulas import Malformed
+from pbcgen.symbolic.plain.outcomes import Malformed
 from pbcgen.symbolic.real import approximate, precision
 from pbcgen.verify.claims import bits_for, find
 from pbcgen.verify.stability import Stability

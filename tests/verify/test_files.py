@@ -10,7 +10,7 @@ from certificates import REFERENCE, certificate_of, oscillator, signed
 
 from pbcgen import pipeline
 from pbcgen.cli import execute
-from pbcgen.symbolic.plain.formulas import Malformed
+from pbcgen.symbolic.plain.outcomes import Malformed
 from pbcgen.verify.files import read, verify
 
 

@@ -14,8 +14,9 @@ from pbcgen.symbolic.plain.boxes import shown
 from pbcgen.symbolic.plain.elimination import Elimination, slopes
 from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import is_definite
+from pbcgen.symbolic.plain.outcomes import NotCheckable
 from pbcgen.symbolic.plain.spectra import krawczyk, stable
-from pbcgen.symbolic.plain.values import Field, Grow, NotCheckable, apply, partial, plain, power, sign, variables
+from pbcgen.symbolic.plain.values import Field, Grow, apply, partial, plain, power, sign, variables
 from pbcgen.symbolic.real import REAL, approximate, precision
 from pbcgen.symbolic.real import rational as exact
 from pbcgen.symbolic.tape import Tape

@@ -1,6 +1,9 @@
 """What no input, no output and no damping can do: refutations, and limits of the inputs."""
 
+import contextlib
 import copy
+import json
+import re
 from fractions import Fraction
 
 import casadi as ca
@@ -9,7 +12,7 @@ from certificates import outcomes, signed
 from designs import DESIGNS, two_links
 from documents import document_of, status, with_witness, witness, written_for
 
-from pbcgen import AffineSystem, Design, DynamicExtension, Limits, Mechanical, NaturalDamping
+from pbcgen import AffineSystem, Design, DynamicExtension, Limits, Mechanical, NaturalDamping, PotentialCompensation
 
 pytestmark = pytest.mark.system
 
@@ -163,22 +166,81 @@ def _arm_within(first, second):
     return two_links(side=4).with_(limits=Limits([(-first, first), (-second, second)]))
 
 
+def _pendulum_within(V, limit, **options):
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    arm = Mechanical([q], [p], M=[1], V=V(q), D=[1], G=[1], inputs=["u"], **options)
+    law = PotentialCompensation(alpha=1, beta=1, K_c=1, R_c=1)
+    return Design(
+        arm,
+        {"q": 0},
+        law,
+        limits=Limits({"u": limit if isinstance(limit, tuple) else (-Fraction(limit), limit)}),
+        sample_period="1e-3",
+    )
+
+
 def test_a_compensated_force_is_bounded_over_a_period():
-    """``10 cos q1 - 4 sin q1 + 5 cos(q1 + q2)`` is below 16, its terms at most 19; the law adds 20."""
-    claim, document = "saturation", written_for(_arm_within(36, 16))
+    """``sin q + sin 2q`` is below 1.761, its harmonics at most 2; the law adds 1."""
+    claim, document = "saturation", written_for(_pendulum_within(lambda q: -ca.cos(q) - ca.cos(2 * q) / 2, "2.77"))
     assert status(document, claim) == "PROVED"
     assert outcomes(document)[claim] == "checked"
-    trees = witness(document, claim)["trees"]
-    assert {*trees} == {"0", "1"}
-    for k, tree in trees.items():
+    limits = witness(document, claim)["limits"]
+    for k, [[weight, [[kind, place, [tree, *rest], alone]], vector]] in enumerate(limits):
+        assert kind == "box"
         for other in (tree[:-1], tree + ".", ".", "", "c" + tree[1:], tree.replace("a", "b", 1)):
-            assert outcomes(with_witness(document, claim, trees=trees | {k: other}))[claim] == "fails", (k, other)
-    assert outcomes(with_witness(document, claim, trees={}))[claim] == "recorded"
-    for limit in ("limit u_1 -36 36", "limit u_2 -16 16"):
-        assert limit in document["model"]
-        tighter = limit.replace("36", "35").replace("16", "15").replace("35 35", "34 34").replace("15 15", "14 14")
-        changed = document | {"model": [line.replace(limit, tighter) for line in document["model"]]}
-        assert outcomes(signed(changed))[claim] != "checked"
+            square = [weight, [[kind, place, [other, *rest], alone]], vector]
+            changed = [*limits[:k], [square], *limits[k + 1 :]]
+            assert outcomes(with_witness(document, claim, limits=changed))[claim] == "fails", (k, other)
+    assert outcomes(with_witness(document, claim, limits=limits[:1]))[claim] == "fails"
+    for tighter in ("11/4", "2", "276/100"):
+        changed = [line.replace("277/100", tighter) for line in document["model"]]
+        assert changed != document["model"]
+        assert outcomes(signed(document | {"model": changed}))[claim] == "fails"
+
+
+@pytest.mark.parametrize(
+    ("design", "limit", "tighter"),
+    [
+        (_pendulum_within(lambda q: 3 * ca.sin(q) + 4 * ca.cos(q), 6), "-6 6", "-6 5999999999/1000000000"),
+        (_pendulum_within(lambda q: ca.sin(q) + ca.sin(3 * q) / 3, 3), "-3 3", "-2999999999/1000000000 3"),
+        (_arm_within(36, 16), "-16 16", "-14 16"),
+    ],
+)
+def test_a_limit_that_harmonics_touch_is_checked_again(design, limit, tighter):
+    """Each harmonic with its amplitude is a sum of two squares; nothing is left for a smaller limit."""
+    claim, document = "saturation", written_for(design)
+    assert status(document, claim) == "PROVED"
+    assert outcomes(document)[claim] == "checked"
+    limits = witness(document, claim)["limits"]
+    for k in range(len(limits)):
+        assert outcomes(with_witness(document, claim, limits=[*limits[:k], [], *limits[k + 1 :]]))[claim] == "fails"
+    changed = [line.replace(limit, tighter) for line in document["model"]]
+    assert changed != document["model"]
+    assert outcomes(signed(document | {"model": changed}))[claim] == "fails"
+    for other in _spoiled(limits):
+        assert outcomes(with_witness(document, claim, limits=other))[claim] == "fails", other
+
+
+def _spoiled(part):
+    """The data with one digit changed, for every digit."""
+    text = json.dumps(part)
+    for match in re.finditer(r"\d", text):
+        changed = text[: match.start()] + str((int(match[0]) + 3) % 10) + text[match.end() :]
+        with contextlib.suppress(ValueError):
+            yield json.loads(changed)
+
+
+def test_a_period_is_one_of_the_function():
+    """With ``cos(q / 2)`` beside ``cos(q)`` a turn of q is no period; on a domain that counts for nothing."""
+
+    def V(q):
+        return 4 * ca.sin(q / 2) - ca.cos(q) - ca.cos(2 * q) / 2
+
+    document = written_for(_pendulum_within(V, (-2, 5), domain={"q": (-1, 1)}))
+    assert status(document, "saturation") == "PROVED"
+    assert outcomes(document)["saturation"] == "checked"
+    everywhere = [line for line in document["model"] if not line.startswith("domain")]
+    assert outcomes(signed(document | {"model": everywhere}))["saturation"] == "fails"
 
 
 def test_positions_at_which_a_compensated_force_is_too_large_are_checked_again():

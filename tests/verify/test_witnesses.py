@@ -15,7 +15,7 @@ from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.proof.claim import Status
-from pbcgen.symbolic.plain.formulas import Malformed
+from pbcgen.symbolic.plain.outcomes import Malformed
 
 pytestmark = pytest.mark.system
 
@@ -56,7 +56,7 @@ KINDS = {
     "one_sided_spring": (GLOBAL, "PROVED", "convex"),
     "seen_mode": (LOCAL, "PROVED", "cases"),
     "smoothly_loaded": (GLOBAL, "PROVED", "parts"),
-    "spring_on_a_domain": ("saturation", "PROVED", "trees"),
+    "spring_on_a_domain": ("saturation", "PROVED", "limits"),
     "weakly_damped": ("theta", "REFUTED", "x"),
     "partly_negative_damping": ("assumption-3", "REFUTED", "x"),
     "two_links": (SAMPLED, "PROVED", "Lambda"),

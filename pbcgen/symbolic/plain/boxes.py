@@ -66,9 +66,8 @@ def leaf(kind: str, box: Box, function: Callable[[Sequence[Any]], Any], zeros: M
         centre = [(lo + hi) / 2 for lo, hi in box]
         steps = [ball(lo - c, hi - c) for (lo, hi), c in zip(box, centre, strict=True)]
         return bool(function(centre) + dot(slopes, steps) >= 0)
-    face = [
-        lo if slope >= 0 else hi if slope <= 0 else ball(lo, hi) for (lo, hi), slope in zip(box, slopes, strict=True)
-    ]
+    sides = zip(box, slopes, strict=True)
+    face = [lo if slope >= 0 else hi if slope <= 0 else ball(lo, hi) for (lo, hi), slope in sides]
     return bool(function(face) >= 0)
 
 

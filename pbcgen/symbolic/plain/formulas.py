@@ -10,6 +10,7 @@ from typing import Any
 
 from flint import fmpq
 
+from pbcgen.symbolic.plain.outcomes import Malformed, require
 from pbcgen.symbolic.plain.values import apply
 
 #: Instructions whose operand is a number or the position of an input.
@@ -21,10 +22,6 @@ Inputs = Mapping[str, Any]
 Known = Mapping[int, Any] | None
 
 
-class Malformed(Exception):
-    """The text does not follow the format."""
-
-
 @lru_cache(1024)
 def rational(text: str) -> fmpq:
     """An exact number written as ``-3``, ``2/7``, ``1.5`` or ``2e-70``."""
@@ -32,6 +29,11 @@ def rational(text: str) -> fmpq:
     mantissa, _, exponent = top.partition("e")
     whole, _, decimals = mantissa.partition(".")
     return fmpq(int(whole + decimals), int(bottom or 1)) * fmpq(10) ** (int(exponent or 0) - len(decimals))
+
+
+def combination(weights: Mapping[str, str], values: Sequence[Any]) -> Any:
+    """The sum of some values with weights, which are given by the places of these values."""
+    return sum((values[int(k)] * rational(c) for k, c in weights.items()), fmpq(0))
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,8 @@ class Formulas:
             if line.startswith(" "):
                 number, *instruction = line.split()
                 negative = instruction[0] != "constant" and any(o.startswith("-") for o in instruction[1:])
-                if negative or int(number) != len(formulas.instructions):
-                    raise Malformed("the instructions are not numbered in order")
+                ordered = not negative and int(number) == len(formulas.instructions)
+                require(ordered, "the instructions are not numbered in order", Malformed)
                 formulas.instructions.append(instruction)
             elif match := re.fullmatch(r"(.+) (\d+)x(\d+)((?: \d+,\d+:\d+)*)", line):
                 places = re.findall(r"(\d+),(\d+):(\d+)", match[4])

@@ -15,6 +15,8 @@ from typing import Any
 
 from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx, fmpz
 
+from pbcgen.symbolic.plain.outcomes import NotCheckable, require
+
 ODD = {"tanh", "atan", "asinh", "erf", "asin", "atanh"}
 #: Functions that increase, and that are nowhere negative, where they are defined.
 INCREASING, NONNEGATIVE = ODD | {"exp", "log", "sqrt"}, {"exp", "sqrt", "fabs"}
@@ -58,10 +60,6 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
 }
 
 
-class NotCheckable(Exception):
-    """The checker has no means to decide this; nothing is said against the claim."""
-
-
 class Grow(Exception):
     """A field needs more atoms, or finer units of an angle: start again with these settings."""
 
@@ -72,8 +70,7 @@ def apply(name: str, *values: Any) -> Any:
         return _OPERATIONS[name](*values)
     if name == "pow":
         return power(*values)
-    if name not in _FUNCTIONS:
-        raise NotCheckable(f"the operation {name} has no exact meaning")
+    require(name in _FUNCTIONS, f"the operation {name} has no exact meaning", NotCheckable)
     (a,) = values
     if isinstance(a, Value):
         return a.function(name)
@@ -256,8 +253,7 @@ class Field:
             top, bottom = top % relation, bottom % relation
         if bottom.is_zero():
             raise ZeroDivisionError("division by the zero function")
-        if len(top) + len(bottom) > _MOST_TERMS:
-            raise NotCheckable("the functions are too large to be written out")
+        require(len(top) + len(bottom) <= _MOST_TERMS, "the functions are too large to be written out", NotCheckable)
         common = bottom if top.is_zero() or bottom.is_constant() else top.gcd(bottom)
         scale = (bottom / common).leading_coefficient()
         return Function(self, top / common / scale, bottom / common / scale)
@@ -266,8 +262,8 @@ class Field:
         """The indeterminate for ``kind(a)``; a new one is larger than all before, so that relations reduce it."""
         key = (kind, str(a.top), str(a.bottom))
         if key not in self.atoms:
-            if self.closed and kind not in _ENTIRE:
-                raise NotCheckable(f"{kind} occurs in a proof but not in the model")
+            known = not self.closed or kind in _ENTIRE
+            require(known, f"{kind} occurs in a proof but not in the model", NotCheckable)
             if len(self.atoms) == self.pool:
                 raise Grow(2 * self.pool, self.units)
             self.atoms[key] = a
@@ -375,8 +371,8 @@ class Field:
 
     def continued(self, slopes: list[Function]) -> list[Function]:
         """Derivatives of functions that may hold |a|, if they are continuous too. Raises NotCheckable."""
-        if any(kind == "fabs" for kind, _, _ in self.atoms) and not all(self.everywhere(v.bottom) for v in slopes):
-            raise NotCheckable("a derivative may jump")
+        smooth = all(kind != "fabs" for kind, _, _ in self.atoms) or all(self.everywhere(v.bottom) for v in slopes)
+        require(smooth, "a derivative may jump", NotCheckable)
         return slopes
 
     def entire(self, moduli: bool = False) -> bool:
@@ -450,8 +446,7 @@ class Dual(Value):
 
     def function(self, name: str) -> Dual:
         """The function ``name`` of this value."""
-        if name not in _SLOPES:
-            raise NotCheckable(f"the derivative of {name} has no exact meaning")
+        require(name in _SLOPES, f"the derivative of {name} has no exact meaning", NotCheckable)
         value = apply(name, self.value)
         return self._through(value, _SLOPES[name](self.value, value))
 

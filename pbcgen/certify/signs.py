@@ -12,12 +12,14 @@ from pbcgen.certify.writing import Writing
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.region import Region
 from pbcgen.proof.branch import Formula, formula_of, zero_set
+from pbcgen.proof.harmonics import harmonic_squares
 from pbcgen.proof.squares import Factor, Square
 from pbcgen.proof.tree import tree
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.plain.formulas import Formulas
+from pbcgen.symbolic.plain.outcomes import NotCheckable
 from pbcgen.symbolic.plain.values import Field as PlainField
-from pbcgen.symbolic.plain.values import Grow, NotCheckable
+from pbcgen.symbolic.plain.values import Grow
 
 #: Coordinates have a letter each.
 _MOST_COORDINATES = 26
@@ -39,6 +41,12 @@ def by_sign(field: Field, polynomial: fmpq_mpoly) -> list[Square] | None:
     except (Grow, NotCheckable, ZeroDivisionError):
         return None
     return [Square(fmpq(1), (Factor("positive", value, None),), (field.const(1),))] if plain.positive(found) else None
+
+
+def by_sign_or_harmonics(field: Field, polynomial: fmpq_mpoly) -> list[Square] | None:
+    """The polynomial by its terms, or by its harmonics if it has nothing but sines and cosines."""
+    signed = by_sign(field, polynomial)
+    return signed if signed is not None else harmonic_squares(field.polynomial(polynomial))
 
 
 class Boxes:
