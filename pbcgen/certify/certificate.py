@@ -235,7 +235,8 @@ def _decimal(value: Fraction) -> str:
 
 def _gradient(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
     structure = derivation.structure
-    return None if structure is None or not _needs_structure(derivation) else {"form": structure.form}
+    by_structure = structure is not None and claim.method.startswith("structure") and _needs_structure(derivation)
+    return {"form": structure.form} if structure is not None and by_structure else None
 
 
 def _direction(matrix: Callable[[Derivation], Rows]) -> Callable[..., dict[str, Any] | None]:
@@ -272,17 +273,19 @@ def _gain(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any
 
 def _supplied(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
     """A state and an input for the model's gamma, or why there is none."""
-    point, plant = (claim.counterexample or {})["x"], derivation.plant
+    found, plant = claim.counterexample or {}, derivation.plant
+    if "x" not in found:  # the response at a frequency, which the checker has no means for
+        return None
     if plant.system.gamma is not None:
-        return {"x": [str(point[name]) for name in (*plant.system.state_names, *plant.system.input_names)]}
-    found = obstruction(plant)
-    if found is None or found.by_jets:
+        return {"x": [str(found["x"][name]) for name in (*plant.system.state_names, *plant.system.input_names)]}
+    shown = obstruction(plant)
+    if shown is None or shown.by_jets:
         return None
     return {
-        "input": found.input,
-        "set": {str(k): terms.put("constant 0") for k in found.zero},
-        "x": [found.point[name] for name in plant.system.state_names],
-        "vectors": [[j, [None if v.is_zero() else terms.quotient(v) for v in d]] for j, d in found.directions],
+        "input": shown.input,
+        "set": {str(k): terms.put("constant 0") for k in shown.zero},
+        "x": [shown.point[name] for name in plant.system.state_names],
+        "vectors": [[j, [None if v.is_zero() else terms.quotient(v) for v in d]] for j, d in shown.directions],
     }
 
 

@@ -21,6 +21,7 @@ from pbcgen.passivity.integrate import Curl, curl, potential
 from pbcgen.passivity.obstruction import Obstruction, obstruction
 from pbcgen.passivity.plant import Plant, Point, columns, dot
 from pbcgen.passivity.region import Region, search_with_inputs
+from pbcgen.passivity.response import Response, negative_response
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.branch import Budget
 from pbcgen.proof.claim import Claim, Status
@@ -29,6 +30,7 @@ from pbcgen.proof.elimination import semidefinite
 from pbcgen.proof.nonnegative import Prover
 from pbcgen.proof.sos import coefficients, squares_tried, sum_of_squares
 from pbcgen.symbolic.coefficients import Coefficients
+from pbcgen.symbolic.display import number
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows, solve
 from pbcgen.symbolic.real import rational, sign, text
@@ -258,9 +260,11 @@ def find(
     except (UnsupportedOperation, ZeroDivisionError) as reason:
         tried.append(str(reason))
     searched = plant.system.gamma is None and (storage_proved or not unproved)
-    impossible = _impossible(plant, obstruction(plant)) if searched else None
-    if unproved and impossible is None:
-        claim = _refuted_gamma(plant, unproved[0], where) or _unproved(unproved[0], storage_proved, where)
+    impossible = _impossible(obstruction(plant)) if searched else None
+    if impossible is None and storage_proved and point is not None:
+        impossible = _contradicted(negative_response(plant, point))
+    if unproved:
+        claim = impossible or _refuted_gamma(plant, unproved[0], where) or _unproved(unproved[0], storage_proved, where)
         return PassiveOutput(unproved[0].gamma, unproved[0].strategy, claim, False)
     return impossible or _none(plant, tried, obstacles, _forced(plant, point))
 
@@ -462,7 +466,7 @@ def _hint(candidate: _Candidate, storage_proved: bool) -> str:
     return "give gamma with the model"
 
 
-def _impossible(plant: Plant, found: Obstruction | None) -> Claim | None:
+def _impossible(found: Obstruction | None) -> Claim | None:
     """The verdict when it is proved that no gamma exists."""
     if found is None:
         return None
@@ -475,6 +479,23 @@ def _impossible(plant: Plant, found: Obstruction | None) -> Claim | None:
         found.reason,
         "choose another storage or input; no gamma fits this one, whatever w",
         {"x": found.point, "value": found.value},
+    )
+
+
+def _contradicted(found: Response | None) -> Claim | None:
+    """The verdict when the linearised system contradicts every gamma near x*."""
+    if found is None:
+        return None
+    omega, value = number(found.omega), text(found.value, 6)
+    return Claim(
+        "passive-output",
+        Status.REFUTED,
+        "near x*",
+        "response of the linearised system in ball arithmetic",
+        "no gamma exists near x*, whatever w: with e = grad S and A = d(f + g u*)/dx at x*, Z(x) >= 0 needs "
+        f"e^T (A^2 + omega^2 I)^-1 g u* >= 0 at every frequency, and it is {value} at omega = {omega}",
+        "take a storage whose loss is zero at x* (such as the integrals of all flows), or use another input",
+        {"omega": omega, "e^T (A^2 + omega^2 I)^-1 g u*": value},
     )
 
 

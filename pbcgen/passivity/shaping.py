@@ -10,6 +10,7 @@ import casadi as ca
 
 from pbcgen.passivity.local import Local
 from pbcgen.passivity.plant import Plant, Point
+from pbcgen.passivity.response import has_full_rank
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import Definiteness, eigenvalues, positive_definite, smallest_eigenvalue, solve_positive
@@ -81,21 +82,29 @@ def shape_at(plant: Plant, point: Point, gamma: ca.SX, compensated: bool = False
 # --- claims ------------------------------------------------------------------------------------------------------
 
 
-def gradient_condition(plant: Plant, point: Point, shape: Shape, structure: PowerStructure | None) -> Claim:
+def gradient_condition(
+    plant: Plant, point: Point, shape: Shape, structure: PowerStructure | None, output: Claim | None = None
+) -> Claim:
     """``grad S + grad gamma kappa = 0`` at x*.
 
     Where x* is only enclosed, balls cannot show that a number is zero. Then the power structure does: with
     F grad gamma = -g, ``0 = f + g u = F (grad S + grad gamma kappa) - rho`` at x*, so a regular F and rho = 0 leave
-    only zero; with grad gamma = -A g, ``grad S + grad gamma kappa = A (f + g u) = 0`` outright.
+    only zero; with grad gamma = -A g, ``grad S + grad gamma kappa = A (f + g u) = 0`` outright. And so does any proof
+    that gamma' is a passive output near x*, where [df/dx + u dg/dx, g] has rank n: see
+    :mod:`pbcgen.passivity.response`. There ``grad S + grad gamma kappa`` is -r.
 
     Args:
         plant: the system.
         point: x*.
         shape: kappa and the gradients there.
         structure: a power structure for which the relation with grad gamma is proved, or None.
+        output: the claim `passive-output` for S and gamma; None where another storage is shaped.
     """
     signs = [sign(v) for v in shape.gradient]
     nonzero = [k for k, s in enumerate(signs) if s in (1, -1)]
+    passive = output is None or output.status is Status.PROVED
+    if nonzero and not passive and plant.system.gamma is None:
+        return _gradient_of_candidate(plant, shape, nonzero[0])
     if nonzero:
         return _gradient_refuted(plant, shape, nonzero[0])
     if all(s == 0 for s in signs):
@@ -111,6 +120,14 @@ def gradient_condition(plant: Plant, point: Point, shape: Shape, structure: Powe
             f"structure: {relation} = 0",
             f"each entry lies within {max(float(radius(v)) for v in shape.gradient):.1e} of zero, and must be zero",
         )
+    if output is not None and passive and has_full_rank(*plant.at(point, _slope(plant), plant.system.g)):
+        return Claim(
+            "gradient-condition",
+            Status.PROVED,
+            "at x*",
+            "passive-output near x*, and [d(f + g u)/dx, g] has rank n there",
+            "u^T gamma' - S' is least at rest, so that grad S + grad gamma kappa = 0",
+        )
     return Claim(
         "gradient-condition",
         Status.UNDECIDED,
@@ -118,6 +135,23 @@ def gradient_condition(plant: Plant, point: Point, shape: Shape, structure: Powe
         "ball arithmetic",
         "the enclosure contains zero",
         "mend the claims above, whose structure decides this one; or give x* itself in decimals",
+    )
+
+
+def _slope(plant: Plant) -> ca.SX:
+    return ca.densify(ca.jacobian(plant.system.xdot, plant.system.x))
+
+
+def _gradient_of_candidate(plant: Plant, shape: Shape, k: int) -> Claim:
+    """A gamma that was not shown to be passive fails the condition: another one may meet it."""
+    name, value = plant.system.state_names[k], text(shape.gradient[k], 6)
+    return Claim(
+        "gradient-condition",
+        Status.UNDECIDED,
+        "at x*",
+        "exact or ball arithmetic",
+        f"entry {name} of grad S + grad gamma kappa is {value} for a gamma that is only a candidate",
+        "mend the claim `passive-output` first: another gamma, or another storage, may meet the condition",
     )
 
 
