@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.design import Design
 from pbcgen.models.target import Condition
-from pbcgen.passivity.plant import Plant, Point, dot
+from pbcgen.passivity.plant import Plant, Point, sparse_dot
 from pbcgen.proof.newton import sizes_of
 from pbcgen.symbolic.display import formula
-from pbcgen.symbolic.linear import Row, kernel
+from pbcgen.symbolic.linear import sparse_kernel
 from pbcgen.symbolic.real import approximate, rational
 from pbcgen.symbolic.tape import exact_decimal
 
@@ -164,12 +164,10 @@ def _annihilated(plant: Plant, drift: ca.SX, inputs: ca.SX) -> list[str]:
     """The equations of the drift that no input enters, as text."""
     try:
         field, (f, g) = plant.exact(drift, inputs, symbolic=True, known=plant.numbers)
-        zero = field.const(0)
-        rest, rows = f.column(zero), g.dense(zero)
-        columns: list[Row] = [dict(enumerate(column)) for column in zip(*rows, strict=True)]
+        (rest,) = f.columns()
         equations = []
-        for weights in kernel(columns, len(rest), zero, field.const(1)):
-            total = dot(weights, rest, zero)
+        for weights in sparse_kernel(g.columns(), g.shape[0], field.const(1)):
+            total = sparse_dot(weights, rest, field.const(0))
             if not total.is_zero():
                 text = formula(field.polynomial(total.numerator), plant.parameter_positions())
                 equations.append(f"{text} = 0")

@@ -16,6 +16,7 @@ from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, reduce_rows
 from pbcgen.symbolic.real import BITS, REAL, ZERO, is_finite, precision, rational, reals, sign
 from pbcgen.symbolic.tape import Tape
+from pbcgen.symbolic.terms import terms
 
 #: Equations with more terms are not factored.
 _MOST_FACTORED = 100
@@ -29,12 +30,12 @@ Exponents = tuple[int, ...]
 def parts(value: Quotient) -> list[Quotient]:
     """``value = 0`` as several equations: a sum of terms of one sign vanishes only if each does."""
     field_ = value.field
-    terms = value.numerator.to_dict()
+    monomials = value.numerator.to_dict()
     for side in (1, -1):
-        if len(terms) > 1 and all(
-            nonnegative(field_.polynomial(field_.context.from_dict({e: c * side}))) for e, c in terms.items()
+        if len(monomials) > 1 and all(
+            nonnegative(field_.polynomial(field_.context.from_dict({e: c * side}))) for e, c in monomials.items()
         ):
-            return [field_.polynomial(field_.context.from_dict({e: c})) for e, c in terms.items()]
+            return [field_.polynomial(field_.context.from_dict({e: c})) for e, c in monomials.items()]
     return [field_.polynomial(value.numerator)]
 
 
@@ -57,10 +58,10 @@ def essentials(value: Quotient) -> list[Quotient]:
 
 def _through_monotone(element: Quotient) -> Quotient:
     """An atom T(xi) of an odd increasing function vanishes where xi does, and so does |xi|."""
-    terms = element.numerator.to_dict()
-    if len(terms) != 1:
+    monomials = element.numerator.to_dict()
+    if len(monomials) != 1:
         return element
-    ((exponents, _),) = terms.items()
+    ((exponents, _),) = monomials.items()
     used = [k for k, e in enumerate(exponents) if e]
     if len(used) != 1 or exponents[used[0]] != 1:
         return element
@@ -107,9 +108,9 @@ def linear_in(element: Quotient, k: int, variables: int | None = None, units: bo
 
 def _is_unit(value: Quotient) -> bool:
     """Whether this is a number times powers of exponentials."""
-    terms = value.numerator.to_dict()
-    used = {k for exponents in terms for k, e in enumerate(exponents) if e}
-    return len(terms) == 1 and all(k in value.field.atoms and value.field.atoms[k].kind == "exp" for k in used)
+    monomials = value.numerator.to_dict()
+    used = {k for exponents in monomials for k, e in enumerate(exponents) if e}
+    return len(monomials) == 1 and all(k in value.field.atoms and value.field.atoms[k].kind == "exp" for k in used)
 
 
 def affine(value: Quotient, count: int) -> Row | None:
@@ -117,11 +118,10 @@ def affine(value: Quotient, count: int) -> Row | None:
     if not value.is_polynomial():
         return None
     row: Row = {}
-    for exponents, coefficient in value.numerator.to_dict().items():
-        used = [k for k, e in enumerate(exponents) if e]
-        if len(used) > 1 or (used and (exponents[used[0]] != 1 or used[0] >= count)):
+    for powers, coefficient in terms(value.numerator):
+        if len(powers) > 1 or (powers and (powers[0][1] != 1 or powers[0][0] >= count)):
             return None
-        row[used[0] if used else CONSTANT] = coefficient
+        row[powers[0][0] if powers else CONSTANT] = coefficient
     return row
 
 
@@ -136,9 +136,14 @@ def eliminated(row: Row, solved: Mapping[int, Row]) -> Row:
 
 def combination(field_: Field, row: Row) -> Quotient:
     """``-row`` as a function."""
-    size = field_.symbol_count + field_.pool
-    terms = {tuple(int(k == key) for k in range(max(size, 1))): -c for key, c in row.items()}
-    return field_.polynomial(field_.context.from_dict(terms))
+    size = max(field_.symbol_count + field_.pool, 1)
+    monomials: dict[Exponents, fmpq] = {}
+    for key, c in row.items():
+        exponents = [0] * size
+        if isinstance(key, int):
+            exponents[key] = 1
+        monomials[tuple(exponents)] = -c
+    return field_.polynomial(field_.context.from_dict(monomials))
 
 
 def is_combination(target: Mapping[Exponents, fmpq], zeros: Sequence[Mapping[Exponents, fmpq]]) -> bool:

@@ -276,7 +276,8 @@ class _Elimination:
             if row is None:
                 left.append(equation)
                 continue
-            row = eliminated(row, rows)
+            while not rows.keys().isdisjoint(row):
+                row = eliminated(row, rows)
             unknown = [k for k in row if k != CONSTANT]
             if not unknown:
                 left += [equation] if row else []
@@ -285,10 +286,9 @@ class _Elimination:
             rest = {key: c / row[k] for key, c in row.items() if key != k}
             found_value = combination(field_, rest)
             self._record(k, found_value, self.to_sx(found_value))
-            for other, before in rows.items():
-                if k in before:
-                    rows[other] = eliminated(before, {k: rest})
             rows[k] = rest
+        for k in reversed([*rows]):  # what a row holds was solved later, or is free
+            rows[k] = eliminated(rows[k], rows)
         if rows:
             found = [self.to_sx(combination(field_, row)) for row in rows.values()]
             old, new = ca.vertcat(*[self.symbols[k] for k in rows]), ca.vertcat(*found)

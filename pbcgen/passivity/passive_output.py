@@ -19,7 +19,7 @@ import casadi as ca
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.integrate import Curl, curl, potential
 from pbcgen.passivity.obstruction import Obstruction, obstruction
-from pbcgen.passivity.plant import Plant, Point, columns, dot
+from pbcgen.passivity.plant import Plant, Point, columns, dot, sparse_dot
 from pbcgen.passivity.region import Region, search_with_inputs
 from pbcgen.passivity.response import Response, negative_response
 from pbcgen.passivity.structure import PowerStructure
@@ -384,12 +384,12 @@ def gives_output(plant: Plant, structure: PowerStructure, psi: ca.SX) -> bool:
     try:
         field, (p, g, matrix, rho) = plant.exact(psi, plant.system.g, structure.matrix, structure.remainder)
         zero = field.const(0)
-        rest, rows = rho.column(zero), matrix.dense(zero)
-        for psi_i, g_i in zip(columns(p, zero), columns(g, zero), strict=True):
+        (rest,), rows = rho.columns(), matrix.rows()
+        for psi_i, g_i in zip(p.columns(), g.columns(), strict=True):
             left, right = (psi_i, g_i) if structure.form == "F" else (g_i, psi_i)
-            if not dot(rest, psi_i, zero).is_zero():
+            if not sparse_dot(rest, psi_i, zero).is_zero():
                 return False
-            if any(not (dot(row, left, zero) + right[k]).is_zero() for k, row in enumerate(rows)):
+            if any(not (sparse_dot(row, left, zero) + right.get(k, zero)).is_zero() for k, row in enumerate(rows)):
                 return False
     except (UnsupportedOperation, ZeroDivisionError):
         return False

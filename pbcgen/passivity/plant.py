@@ -256,6 +256,12 @@ def columns(matrix: Matrix[Quotient], zero: Quotient) -> list[list[Quotient]]:
     return [[row[j] for row in dense] for j in range(matrix.shape[1])]
 
 
+def sparse_dot(left: Mapping[int, Quotient], right: Mapping[int, Quotient], zero: Quotient) -> Quotient:
+    """The sum of products of the entries that both have."""
+    both = sorted(left.keys() & right.keys())
+    return dot((left[k] for k in both), (right[k] for k in both), zero)
+
+
 def dot(left: Iterable[Quotient], right: Iterable[Quotient], zero: Quotient) -> Quotient:
     """The sum of products."""
     total = zero

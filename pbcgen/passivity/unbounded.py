@@ -31,7 +31,7 @@ from pbcgen.symbolic.coefficients import cleared
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, kernel, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO, Real, fraction, rational, sign
-from pbcgen.symbolic.real_matrices import RealMatrix
+from pbcgen.symbolic.real_matrices import SparseRow
 from pbcgen.symbolic.terms import terms
 
 #: Forms are sought for functions of at most so many states, with these factors and constants.
@@ -154,12 +154,12 @@ def _by_terms(
 
 
 def _in_coordinates(
-    plant: Plant, gamma: ca.SX, split: tuple[RealMatrix, list[fmpq]], energy: _Energy, room: Sequence[Real]
+    plant: Plant, gamma: ca.SX, split: tuple[list[SparseRow], list[fmpq]], energy: _Energy, room: Sequence[Real]
 ) -> Growth:
     """With nonlinear gamma: what the form and the ln cosh terms with alpha > |kappa| bound must bound all states."""
     form, linear = split
     x = plant.system.x
-    solved = reduce_rows([{k: v for k, v in enumerate(row) if v != 0} for row in form])
+    solved = reduce_rows(form)
     rows = [[row.get(k, fmpq(0)) if k != p else fmpq(1) for k in range(len(linear))] for p, row in solved.items()]
     if any(_dot(linear, v) != 0 for v in _kernel(form)):
         return Growth(False, "the linear part of S is not outgrown, and gamma is not affine")
@@ -175,7 +175,7 @@ def _in_coordinates(
     return Growth(False, "there are directions in which neither S nor gamma is known to grow")
 
 
-def _quadratic(value: Quotient, variables: Sequence[int], states: int) -> tuple[RealMatrix, list[fmpq]] | str:
+def _quadratic(value: Quotient, variables: Sequence[int], states: int) -> tuple[list[SparseRow], list[fmpq]] | str:
     """The semidefinite form and the linear part of S, whose other terms are outgrown by the form or nonnegative."""
     split = _split(value, variables, states)
     if split is None:
@@ -188,7 +188,7 @@ def _quadratic(value: Quotient, variables: Sequence[int], states: int) -> tuple[
     return form, linear
 
 
-def _outgrown(plant: Plant, value: Quotient, variables: Sequence[int]) -> tuple[RealMatrix, list[fmpq]] | None:
+def _outgrown(plant: Plant, value: Quotient, variables: Sequence[int]) -> tuple[list[SparseRow], list[fmpq]] | None:
     """A semidefinite form that S, without its linear part, outgrows: ``S + constant >= form``.
 
     The form has as its kernel the directions in which S, its linear and bounded terms set apart, does not change at
@@ -213,12 +213,16 @@ def _outgrown(plant: Plant, value: Quotient, variables: Sequence[int]) -> tuple[
     if rows is None:
         return None
     squares = [_square(field, row, variables) for row in rows]
-    form: RealMatrix = [[sum((r[i] * r[j] for r in rows), fmpq(0)) for j in range(size)] for i in range(size)]
+    form = _sum_of_squares(rows, size)
     if squares and _above(whole, sum(squares, field.const(0))):
         return form, linear
     single = [row for row, square in zip(rows, squares, strict=True) if _above(whole, square)]
-    form = [[sum((r[i] * r[j] for r in single), fmpq(0)) for j in range(size)] for i in range(size)]
-    return (form, linear) if single else None
+    return (_sum_of_squares(single, size), linear) if single else None
+
+
+def _sum_of_squares(rows: Sequence[Sequence[fmpq]], size: int) -> list[SparseRow]:
+    """The form ``sum (row x)^2``."""
+    return [{j: sum((r[i] * r[j] for r in rows), fmpq(0)) for j in range(size)} for i in range(size)]
 
 
 def _changing(plant: Plant, value: Quotient, variables: Sequence[int]) -> list[list[fmpq]] | None:
@@ -272,7 +276,7 @@ def _with_lower_powers(value: Quotient) -> Quotient:
     return field.polynomial(field.context.from_dict(terms_))
 
 
-def _split(value: Quotient, variables: Sequence[int], states: int) -> tuple[RealMatrix, list[fmpq], bool] | None:
+def _split(value: Quotient, variables: Sequence[int], states: int) -> tuple[list[SparseRow], list[fmpq], bool] | None:
     """The quadratic form and the linear part of S, and whether the other terms are all bounded or nonnegative.
 
     None if one of them may grow faster than linearly.
@@ -281,7 +285,7 @@ def _split(value: Quotient, variables: Sequence[int], states: int) -> tuple[Real
         return None
     field: Field = value.field
     size = len(variables)
-    form: RealMatrix = [[ZERO] * size for _ in range(size)]
+    form: list[SparseRow] = [{} for _ in range(size)]
     linear = [fmpq(0)] * size
     small = True
     position = {k: i for i, k in enumerate(variables)}
@@ -292,8 +296,8 @@ def _split(value: Quotient, variables: Sequence[int], states: int) -> tuple[Real
             places = [position[k] for k in symbols]
             if len(places) == 2:
                 i, j = places
-                form[i][j] = form[i][j] + coefficient / 2
-                form[j][i] = form[j][i] + coefficient / 2
+                form[i][j] = form[i].get(j, ZERO) + coefficient / 2
+                form[j][i] = form[j].get(i, ZERO) + coefficient / 2
             elif len(places) == 1:
                 linear[places[0]] += coefficient
         else:
@@ -309,7 +313,7 @@ def _split(value: Quotient, variables: Sequence[int], states: int) -> tuple[Real
 
 
 def _on_kernel(
-    form: RealMatrix,
+    form: list[SparseRow],
     linear: Sequence[fmpq],
     gammas: Sequence[Sequence[fmpq]],
     alpha: Sequence[Fraction],
@@ -340,9 +344,8 @@ def _on_kernel(
     return Growth(True, "S grows quadratically, and ln cosh faster than kappa^T gamma where S does not")
 
 
-def _kernel(form: RealMatrix) -> list[list[fmpq]]:
-    rows: list[Row] = [{k: v for k, v in enumerate(row) if v != 0} for row in form]
-    return kernel(rows, len(form), fmpq(0), fmpq(1))
+def _kernel(form: Sequence[SparseRow]) -> list[list[fmpq]]:
+    return kernel(form, len(form), fmpq(0), fmpq(1))
 
 
 def _dot(a: Sequence[fmpq], b: Sequence[fmpq]) -> fmpq:

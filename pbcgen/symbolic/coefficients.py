@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from flint import fmpq, fmpq_mpoly
 
 from pbcgen.symbolic.field import Field, Quotient
+from pbcgen.symbolic.terms import Powers, terms
 
 #: The exponents of all indeterminates, by position.
 Monomial = tuple[int, ...]
@@ -44,15 +45,34 @@ class Coefficients:
 
     def split(self, function: Quotient) -> dict[Monomial, Quotient] | None:
         """Coefficient by monomial, or None when the denominator depends on the state."""
-        if any(degree and k not in self.parameters for k, degree in enumerate(function.denominator.degrees())):
+        found = self.split_sparsely(function)
+        if found is None:
             return None
-        groups: dict[Monomial, dict[Monomial, fmpq]] = {}
-        for raw, coefficient in function.numerator.to_dict().items():
-            exponents = tuple(int(e) for e in raw)
-            state = tuple(0 if k in self.parameters else e for k, e in enumerate(exponents))
-            rest = tuple(e if k in self.parameters else 0 for k, e in enumerate(exponents))
+        size = self.field.context.nvars()
+        return {_exponents(powers, size): coefficient for powers, coefficient in found.items()}
+
+    def split_sparsely(self, function: Quotient) -> dict[Powers, Quotient] | None:
+        """Coefficient by the powers of a monomial, or None when the denominator depends on the state."""
+        below = function.denominator
+        if not below.is_constant() and any(e and k not in self.parameters for k, e in enumerate(below.degrees())):
+            return None
+        groups: dict[Powers, dict[Powers, fmpq]] = {}
+        for powers, coefficient in terms(function.numerator):
+            state = tuple(power for power in powers if power[0] not in self.parameters)
+            rest = tuple(power for power in powers if power[0] in self.parameters)
             groups.setdefault(state, {})[rest] = coefficient
-        return {
-            state: self.field.quotient(self.field.context.from_dict(terms), function.denominator)
-            for state, terms in groups.items()
-        }
+        return {state: self._function(group, below) for state, group in groups.items()}
+
+    def _function(self, group: dict[Powers, fmpq], denominator: fmpq_mpoly) -> Quotient:
+        context = self.field.context
+        if group.keys() == {()}:
+            return self.field.quotient(context.constant(group[()]), denominator)
+        monomials = {_exponents(powers, context.nvars()): coefficient for powers, coefficient in group.items()}
+        return self.field.quotient(context.from_dict(monomials), denominator)
+
+
+def _exponents(powers: Powers, size: int) -> Monomial:
+    exponents = [0] * size
+    for k, e in powers:
+        exponents[k] = e
+    return tuple(exponents)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterable
 from fractions import Fraction
 
@@ -11,7 +12,10 @@ from flint import fmpq, fmpq_mpoly
 from pbcgen.symbolic.coefficients import Coefficients
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import fraction, rational
+from pbcgen.symbolic.terms import Powers, terms
 
+#: After the indeterminates of a term: later than any of them.
+_END = (sys.maxsize, 0)
 #: A ratio of numbers below this is shown as one, else as a decimal.
 _SHORT = 1000
 
@@ -48,14 +52,12 @@ class _Printer:
     def function(self, function: Quotient) -> str:
         if function.is_zero():
             return "0"
-        groups = self.coefficients.split(function)
+        groups = self.coefficients.split_sparsely(function)
         if groups is None:
             return self._ratio(function.numerator, function.denominator)
-        terms = []
-        for state in sorted(groups, key=lambda e: (sum(e) == 0, [-x for x in e])):
-            terms.append(self._term(groups[state], self._power_product(state)))
-        text = terms[0]
-        for term in terms[1:]:
+        shown = [self._term(groups[state], self._power_product(state)) for state in sorted(groups, key=_descending)]
+        text = shown[0]
+        for term in shown[1:]:
             text += f" - {term[1:]}" if term.startswith("-") else f" + {term}"
         return text
 
@@ -112,22 +114,25 @@ class _Printer:
         return sign + "*".join(parts)
 
     def _sum(self, polynomial: fmpq_mpoly) -> str:
-        terms = []
-        for raw, coefficient in sorted(polynomial.to_dict().items(), reverse=True):
-            product = self._power_product(tuple(int(e) for e in raw))
+        shown = []
+        for powers, coefficient in sorted(terms(polynomial), key=lambda term: _descending(term[0])):
+            product = self._power_product(powers)
             value = fraction(coefficient)
             if not product:
-                terms.append(number(value))
+                shown.append(number(value))
             elif abs(value) == 1:
-                terms.append(product if value > 0 else f"-{product}")
+                shown.append(product if value > 0 else f"-{product}")
             else:
-                terms.append(f"{number(value)}*{product}")
-        return " + ".join(terms).replace("+ -", "- ")
+                shown.append(f"{number(value)}*{product}")
+        return " + ".join(shown).replace("+ -", "- ")
 
-    def _power_product(self, exponents: tuple[int, ...]) -> str:
-        return "*".join(
-            self.generator(k) if e == 1 else f"{self.generator(k)}^{e}" for k, e in enumerate(exponents) if e
-        )
+    def _power_product(self, powers: Powers) -> str:
+        return "*".join(self.generator(k) if e == 1 else f"{self.generator(k)}^{e}" for k, e in powers)
+
+
+def _descending(powers: Powers) -> tuple[tuple[int, int], ...]:
+    """Sorts as the vectors of all exponents do, the greatest first."""
+    return (*((k, -e) for k, e in powers), _END)
 
 
 def _outside(text: str) -> str:

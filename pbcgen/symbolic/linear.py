@@ -32,7 +32,7 @@ def is_zero(value: Any) -> bool:
     return bool(value.is_zero()) if isinstance(value, Quotient) else bool(value == 0)
 
 
-def _without_zeros(row: Mapping[Hashable, Any]) -> Row:
+def _without_zeros(row: Mapping[Any, Any]) -> Row:
     return {key: value for key, value in row.items() if not is_zero(value)}
 
 
@@ -46,7 +46,7 @@ def _cost(value: Any) -> int:
 class _Rows:
     """Sparse rows by number, with an index from each unknown to the rows that hold it."""
 
-    def __init__(self, rows: Iterable[Mapping[Hashable, Any]]) -> None:
+    def __init__(self, rows: Iterable[Mapping[Any, Any]]) -> None:
         self.rows: dict[int, Row] = {}
         self.holders: dict[Hashable, set[int]] = {}
         for number, row in enumerate(rows):
@@ -81,9 +81,7 @@ class _Rows:
         return changed
 
 
-def reduce_rows(
-    rows: Iterable[Mapping[Hashable, Any]], known: Container[Hashable] = frozenset()
-) -> dict[Hashable, Row]:
+def reduce_rows(rows: Iterable[Mapping[Any, Any]], known: Container[Hashable] = frozenset()) -> dict[Hashable, Row]:
     """Reduced row echelon form, shortest rows first.
 
     Args:
@@ -136,15 +134,20 @@ def determined(solved: Mapping[Hashable, Row], zero: Any) -> dict[Hashable, Any]
     }
 
 
-def kernel(rows: Iterable[Mapping[Hashable, Any]], size: int, zero: Any, one: Any) -> list[list[Any]]:
-    """A basis of the vectors of ``size`` unknowns, called 0, 1, ..., on which all rows vanish."""
+def sparse_kernel(rows: Iterable[Mapping[Any, Any]], size: int, one: Any) -> list[dict[int, Any]]:
+    """A basis of the vectors of ``size`` unknowns, called 0, 1, ..., on which all rows vanish: the nonzero entries."""
     solved = reduce_rows(rows)
-    basis = []
-    for free in (k for k in range(size) if k not in solved):
-        vector = [-solved[k][free] if k in solved and free in solved[k] else zero for k in range(size)]
-        vector[free] = one
-        basis.append(vector)
-    return basis
+    basis: dict[Hashable, dict[int, Any]] = {free: {free: one} for free in range(size) if free not in solved}
+    for pivot in range(size):
+        for free, value in solved.get(pivot, {}).items():
+            if free in basis:
+                basis[free][pivot] = -value
+    return list(basis.values())
+
+
+def kernel(rows: Iterable[Mapping[Any, Any]], size: int, zero: Any, one: Any) -> list[list[Any]]:
+    """:func:`sparse_kernel` with all entries."""
+    return [[vector.get(k, zero) for k in range(size)] for vector in sparse_kernel(rows, size, one)]
 
 
 def solve(matrix: list[list[Any]], right: list[Any], zero: Any) -> list[Any] | None:

@@ -142,6 +142,13 @@ class Matrix(Generic[T]):
             found[i][j] = entry
         return found
 
+    def columns(self) -> list[dict[int, T]]:
+        """The entries by column and row, without the structural zeros."""
+        found: list[dict[int, T]] = [{} for _ in range(self.shape[1])]
+        for (i, j), entry in sorted(self.entries.items(), key=lambda item: item[0]):
+            found[j][i] = entry
+        return found
+
     def column(self, zero: T) -> list[T]:
         """The entries of a one-column matrix (ValueError for other shapes)."""
         if self.shape[1] != 1:
