@@ -63,7 +63,7 @@ class Landscape:
         self.inertia_tape: Tape | None = None
         if self.momenta and mechanics is not None:
             self.inertia_tape = plant.tape(ca.densify(mechanics.M), ca.densify(mechanics.M_inv))
-            self.inertia = plant.numeric(mechanics.M)
+            self.inertia = plant.doubles(mechanics.M)
         self.affine = not ca.depends_on(ca.densify(slope), system.x)
         self.first_tape: Tape = plant.tape(energy, ca.densify(gradient), ca.densify(slope), situation.gamma)
         self.second_tape: Tape = plant.tape(
@@ -75,7 +75,7 @@ class Landscape:
             energy_star, gamma_star = plant.walk(self.tape, situation.point.x, u)
         self.minimum: Real = energy_star[0][0]
         self.gamma_star = [row[0] for row in gamma_star]
-        self.numeric = plant.numeric(energy, situation.gamma)
+        self.numeric = plant.doubles(energy, situation.gamma)
 
     def above(self, x: Sequence[Real]) -> Real:
         """A ball not above W(x) - V(x*) on the box."""
@@ -146,8 +146,8 @@ class Landscape:
     def height(self, x: Sequence[float]) -> float:
         """W(x) - V(x*) in double precision."""
         energy, gamma = self.numeric(x, [approximate(v) for v in self.u])
-        deviations = np.array(gamma).ravel() - np.array([approximate(v) for v in self.gamma_star])
-        return float(energy) - approximate(self.minimum) + self.envelope.value(deviations)
+        deviations = gamma.ravel() - np.array([approximate(v) for v in self.gamma_star])
+        return float(energy[0, 0]) - approximate(self.minimum) + self.envelope.value(deviations)
 
     def regular_inertia(self, x: Sequence[Real]) -> bool:
         """Whether M > 0 on the box, so that momenta store energy; true where boxes are of the whole state."""
@@ -170,7 +170,7 @@ class Landscape:
         lo, hi = np.array(box, dtype=float).T
         largest = np.zeros(len(self.momenta))
         for x in generator.uniform(lo, hi, size=(200, len(box))):
-            M = np.array(self.inertia(x, [approximate(v) for v in self.u]))
+            (M,) = self.inertia(x, [approximate(v) for v in self.u])
             room = 2 * max(level - self.height(x), 0.0)
             largest = np.maximum(largest, np.sqrt(room * np.maximum(np.diag(M), 0.0)))
         return [float(v) for v in largest]
@@ -179,8 +179,8 @@ class Landscape:
         """V - V(x*) with all filters at zero, in double precision."""
         u = [approximate(v) for v in self.u]
         energy, gamma = self.numeric(x, u)
-        away = np.array(gamma).ravel() - np.array([approximate(v) for v in self.gamma_star])
-        total = float(energy) - approximate(self.minimum) + self.envelope.spring(away)
+        away = gamma.ravel() - np.array([approximate(v) for v in self.gamma_star])
+        total = float(energy[0, 0]) - approximate(self.minimum) + self.envelope.spring(away)
         law, eta = self.situation.base, self.situation.eta
         if isinstance(law, NaturalDamping) and eta is not None:
             signal = self.situation.plant.numeric(eta)

@@ -17,6 +17,7 @@ from pbcgen.models.gains import Vector
 from pbcgen.models.laws import Integral
 from pbcgen.passivity.region import Region
 from pbcgen.proof.newton import Search, find_zeros, float_newton, krawczyk, polish, sizes_of
+from pbcgen.symbolic.doubles import Doubles
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, ball, is_finite, precision, rational, sign
 from pbcgen.symbolic.tape import Tape
 
@@ -56,15 +57,14 @@ def other_rest(situation: Situation) -> list[Real] | None:
     rounded = ca.DM([approximate(v) for v in constants])
     held, filters = free + system.m, psi.numel()
     values = ca.vertcat(rounded, ca.DM([float(v) for v in plant.parameter_values]))
-    function = ca.Function(
-        "rest",
+    function = Doubles(
         [system.x, system.u, psi],
         [ca.substitute(e, ca.vertcat(at_star, plant.parameter_symbols), values) for e in (residual, jacobian)],
     )
 
     def evaluate(z: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         value, slope = function(np.concatenate([z[:free], np.zeros(still)]), z[free:held], z[held:])
-        return np.array(value).ravel(), np.array(ca.densify(slope))
+        return value.ravel(), slope
 
     def settled(z: NDArray[np.float64]) -> NDArray[np.float64]:
         """z with what the controller holds where the plant is at z, if that is found."""
@@ -153,8 +153,8 @@ def _with_gamma_kept(situation: Situation, star: NDArray[np.float64], free: int)
     """Starts along which gamma stays near gamma*: elsewhere the saturated law is flat, and Newton's method lost."""
     plant, n = situation.plant, situation.plant.system.n
     at = np.concatenate([star[:free], np.zeros(n - free)])
-    slope = plant.numeric(ca.densify(ca.jacobian(situation.gamma, plant.system.x[:free])))
-    N = np.array(slope(at, star[free : free + plant.system.m]))
+    slope = plant.doubles(ca.jacobian(situation.gamma, plant.system.x[:free]))
+    (N,) = slope(at, star[free : free + plant.system.m])
     if not np.all(np.isfinite(N)):
         return ()
     keep = np.eye(free) - np.linalg.pinv(N) @ N

@@ -117,10 +117,10 @@ def nearest_assignable(plant: Plant, design: Design) -> dict[str, float] | None:
         _OPEN**0.5 * (system.x - z0[:n]) / float(np.max(scale, initial=1e-3)),
     )
     distance = ca.sumsqr(offsets)
-    function = plant.numeric(system.xdot, ca.jacobian(system.xdot, symbols), distance, ca.gradient(distance, symbols))
+    function = plant.doubles(system.xdot, ca.jacobian(system.xdot, symbols), distance, ca.gradient(distance, symbols))
 
     def entries(z: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        return [np.array(ca.densify(v)) for v in function(z[:n], z[n:])]
+        return function(z[:n], z[n:])
 
     rows = greedy_rows(entries(z0)[1])  # SLSQP cannot have dependent constraints
     constraint = {"type": "eq", "fun": lambda z: entries(z)[0].ravel()[rows], "jac": lambda z: entries(z)[1][rows]}

@@ -140,12 +140,11 @@ class SquareSystem:
 
     def zeros(self) -> list[NDArray[np.float64]]:
         """Zeros in doubles, by Newton's method from the starts of the search."""
-        function = self.plant.numeric(self.expressions, self.jacobian)
+        function = self.plant.doubles(self.expressions, self.jacobian)
 
         def system(z: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-            x, u = self._numbers(z)
-            value, jacobian = function(x, u)
-            return np.array(value).ravel(), np.array(ca.densify(jacobian))
+            value, jacobian = function(*self._numbers(z))
+            return value.ravel(), jacobian
 
         return find_zeros(system, self.search)
 
@@ -233,7 +232,7 @@ def _independent_rows(
     search: Search,
 ) -> list[int]:
     """Rows of the Jacobian that are independent at generic points, greedily from the first."""
-    function = plant.numeric(jacobian)
+    function = plant.doubles(jacobian)
     generator = np.random.default_rng(1)
     best: list[int] = []
     for _ in range(5):
@@ -244,7 +243,7 @@ def _independent_rows(
         values |= dict(zip(unknown, sample, strict=True))
         x = np.array([values[n] for n in names[: plant.system.n]])
         u = np.array([values[n] for n in names[plant.system.n :]])
-        rows = greedy_rows(np.array(ca.densify(function(x, u))))
+        rows = greedy_rows(*function(x, u))
         if len(rows) > len(best):
             best = rows
     return best

@@ -136,7 +136,7 @@ class _Work:
     def values(self) -> list[tuple[Floats, Floats]]:
         """The dissipation and the rows at states of the region."""
         system, generator = self.plant.system, np.random.default_rng(3)
-        function = self.plant.numeric(ca.densify(self.dissipation), ca.densify(self.rows))
+        function = self.plant.doubles(self.dissipation, self.rows)
         ends = [
             (-_SPREAD if lo is None else float(lo), _SPREAD if hi is None else float(hi))
             for lo, hi in self.region.bounds
@@ -147,7 +147,7 @@ class _Work:
         share[: _SAMPLES // 2] = np.round(share[: _SAMPLES // 2] * 2) / 2
         found = []
         for point in lower + share * (upper - lower):
-            B, rows = (np.array(v, dtype=float) for v in function(point, np.zeros(system.m)))
+            B, rows = function(point, np.zeros(system.m))
             if np.all(np.isfinite(B)) and np.all(np.isfinite(rows)):
                 found.append((B, rows))
         return found

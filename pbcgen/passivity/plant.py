@@ -15,6 +15,7 @@ from pbcgen.models.numbers import is_short
 from pbcgen.passivity.construction import gradient_by_construction
 from pbcgen.proof.nonnegative import positive
 from pbcgen.symbolic.continued import continued
+from pbcgen.symbolic.doubles import Doubles
 from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, precision, reals
@@ -220,10 +221,17 @@ class Plant:
 
     def numeric(self, *outputs: ca.SX) -> ca.Function:
         """A floating-point function (x, u) -> outputs at the parameter values."""
-        x, u, parameters = self.symbols
+        return ca.Function("numeric", [self.system.x, self.system.u], self._at_values(outputs))
+
+    def doubles(self, *outputs: ca.SX) -> Doubles:
+        """The same for NumPy arrays."""
+        return Doubles([self.system.x, self.system.u], self._at_values(outputs))
+
+    def _at_values(self, outputs: Sequence[ca.SX]) -> list[ca.SX]:
         values = ca.DM([float(v) for v in self.parameter_values])
-        at_values = [ca.substitute(ca.SX(o), parameters, values) if values.numel() else ca.SX(o) for o in outputs]
-        return ca.Function("numeric", [x, u], at_values)
+        return [
+            ca.substitute(ca.SX(o), self.parameter_symbols, values) if values.numel() else ca.SX(o) for o in outputs
+        ]
 
 
 class SymbolicPlant(Plant):

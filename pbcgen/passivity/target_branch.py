@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.boxes import halves, lengths, longest_side
 from pbcgen.proof.newton import float_newton, krawczyk, polish
+from pbcgen.symbolic.doubles import Doubles
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, ball, enclose, is_finite, midpoint, precision, rational, reals
 from pbcgen.symbolic.real_matrices import RealMatrix, as_balls
 from pbcgen.symbolic.tape import Tape
@@ -243,18 +244,18 @@ def _float_system(plant: Plant, p: ca.SX, z: ca.SX, equations: ca.SX) -> _FloatS
     numbers = ca.DM([float(v) for v in plant.parameter_values])
     symbols = plant.parameter_symbols
     F = ca.substitute(equations, symbols, numbers) if symbols.numel() else equations
-    return _FloatSystem(ca.Function("equations", [p, z], [ca.densify(F), ca.densify(ca.jacobian(F, z))]))
+    return _FloatSystem(Doubles([p, z], [F, ca.jacobian(F, z)]))
 
 
 @dataclass(frozen=True, eq=False)
 class _FloatSystem:
     """F and F_z in double precision."""
 
-    function: ca.Function
+    function: Doubles
 
     def __call__(self, p: Array, z: Array) -> tuple[Array, Array]:
         F, F_z = self.function(p, z)
-        return np.array(F)[:, 0], np.array(F_z)
+        return F[:, 0], F_z
 
 
 def _followed(system: _FloatSystem, declared: tuple[Sequence[float], Sequence[float]], end: Array) -> Array | None:

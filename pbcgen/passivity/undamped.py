@@ -146,9 +146,9 @@ class _Planes:
         """A function of x in doubles, with x* and u* at theirs."""
         old = ca.vertcat(ca.SX(0, 1), *self.held.values())
         new = ca.SX(ca.DM([approximate(self.x[k]) for k in self.held]))
-        function = self.plant.numeric(*[ca.substitute(o, old, new) if self.held else o for o in outputs])
-        idle = [0.0] * self.plant.system.m
-        return lambda x: [np.array(ca.densify(v)) for v in function.call([ca.DM(x), ca.DM(idle)])]
+        function = self.plant.doubles(*[ca.substitute(o, old, new) if self.held else o for o in outputs])
+        idle = np.zeros(self.plant.system.m)
+        return lambda x: function(x, idle)
 
     def candidates(self) -> Iterator[Plane]:
         """Planes on which the equations hold at some points, larger ones first."""

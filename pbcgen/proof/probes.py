@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from pbcgen.proof.seeker import Points, Seeker, some_states
+from pbcgen.symbolic.doubles import Doubles
 
 _MOST_PROBES = 120
 #: States from which every quantity starts, steps of Newton's method, and how often quantities are put together.
@@ -80,21 +81,19 @@ class _Quantity:
     """
 
     support: tuple[int, ...]
-    derivatives: ca.Function
+    derivatives: Doubles
 
     @staticmethod
     def of(value: ca.SX, x: ca.SX) -> _Quantity:
         support = tuple(k for k, depends in enumerate(ca.which_depends(value, x, 1, False)) if depends)
         own = ca.vertcat(*[x[k] for k in support])
         hessian, gradient = ca.hessian(value, own)
-        outputs = [ca.densify(value), ca.densify(gradient), ca.densify(hessian)]
-        return _Quantity(support, ca.Function("quantity", [x], outputs))
+        return _Quantity(support, Doubles([x], [value, gradient, hessian]))
 
     def at(self, points: Points) -> tuple[Points, Points, Points]:
         """Values (N), gradients (N x k) and Hessians (N x k x k) at N states."""
-        count, size = len(points), len(self.support)
-        value, gradient, hessian = (np.asarray(v, dtype=float) for v in self.derivatives.map(count)(points.T))
-        return value.ravel(), gradient.T, hessian.T.reshape(count, size, size)
+        value, gradient, hessian = self.derivatives.many(points)
+        return value.ravel(), gradient[:, :, 0], hessian
 
 
 @dataclass(frozen=True, eq=False)

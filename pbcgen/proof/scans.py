@@ -88,8 +88,8 @@ def descend(seeker: Seeker, generator: np.random.Generator) -> None:
         def objective(z: Points, size: Points = size) -> tuple[float, Points]:
             value, gradient = seeker.slope(z * size)
             seeker.evaluations += 1
-            flat = np.asarray(gradient, dtype=float).ravel() * size
-            result = float(value)
+            flat = gradient.ravel() * size
+            result = float(value[0, 0])
             return (result, flat) if np.isfinite(result) and np.all(np.isfinite(flat)) else (1e300, np.zeros_like(z))
 
         limits: Any = list(zip(seeker.lower / size, seeker.upper / size, strict=True))

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from pbcgen.symbolic.doubles import Doubles
 from pbcgen.symbolic.real import Real
 
 Interval = tuple[Fraction | None, Fraction | None]
@@ -64,11 +65,9 @@ class Seeker:
     def __post_init__(self) -> None:
         q = self.question
         value = q.value if q.scale is None else q.value / q.scale
-        self.relative = ca.Function("relative", [q.variables], [value])
-        gradient = ca.gradient(value, q.variables)
-        self.slope = ca.Function("slope", [q.variables], [value, gradient])
-        self.cost = self.relative.n_instructions() + _CALL
-        self.mapped = {size: self.relative.map(size) for size in _BATCHES}
+        self.relative = Doubles([q.variables], [value])
+        self.slope = Doubles([q.variables], [value, ca.gradient(value, q.variables)])
+        self.cost = self.relative.function.n_instructions() + _CALL
         self.n = int(q.variables.numel())
         self.lower = np.array([-np.inf if lo is None else float(lo) for lo, _ in q.bounds])
         self.upper = np.array([np.inf if hi is None else float(hi) for _, hi in q.bounds])
@@ -89,7 +88,7 @@ class Seeker:
             batch = inside[k : k + size]
             if len(batch) < size:
                 batch = np.vstack([batch, np.broadcast_to(batch[-1], (size - len(batch), self.n))])
-            raw[k : k + size] = np.asarray(self.mapped[size](batch.T)).reshape(-1)
+            raw[k : k + size] = self.relative.many(batch)[0].reshape(-1)
         raw = raw[: len(inside)]
         return np.asarray(np.where(np.isfinite(raw), raw, np.inf))
 
