@@ -20,7 +20,7 @@ import numpy as np
 from flint import acb, acb_mat, arb, arb_mat
 
 from pbcgen.proof.claim import Status
-from pbcgen.sampling.transition import LinearLoop, Transition, diagonalise, entries, midpoints, real_identity
+from pbcgen.sampling.transition import LinearLoop, Transition, diagonalise, midpoints, real_identity
 from pbcgen.symbolic.real import ball, enclose, in_high_precision, precision, rational
 
 #: Bits of the balls of a scan; the decision at a single period uses more.
@@ -64,16 +64,16 @@ class Scan:
 
 def _absolute(matrix: acb_mat) -> arb_mat:
     """Upper bounds of the moduli of the entries."""
-    return arb_mat(matrix.nrows(), matrix.ncols(), [v.abs_upper() for _, _, v in entries(matrix)])
+    return arb_mat(matrix.nrows(), matrix.ncols(), [v.abs_upper() for v in matrix.entries()])
 
 
 def _contracts(gaps: list[arb], rest: arb_mat) -> bool:
     """Whether positive weights w exist with ``gaps_i w_i > (rest w)_i``: then the weighted maximum norm contracts."""
     size = len(gaps)
-    if any(not g > 0 for g in gaps) or any(not rest[i, j].is_finite() for i in range(size) for j in range(size)):
+    if any(not g > 0 for g in gaps) or not all(v.is_finite() for v in rest.entries()):
         return False
     g = np.array([float(v.mid()) for v in gaps])
-    P = np.array([[float(rest[i, j].upper()) for j in range(size)] for i in range(size)])
+    P = np.array([float(v.upper()) for v in rest.entries()]).reshape(size, size)
     try:
         w = np.linalg.solve(np.diag(g) - P, g)
     except np.linalg.LinAlgError:
@@ -167,16 +167,17 @@ def _following(N0: acb_mat, N: acb_mat, reach: float) -> acb_mat:
     """X with ``N + D X - X D`` diagonal where eigenvalues stay apart for ``|t| <= reach``: exact numbers, else zero."""
     size = N0.nrows()
     values = [N0[i, i].mid() for i in range(size)]
-    turns = []
-    for i, j, entry in entries(N):
-        difference = values[j] - values[i]
-        if i == j or not difference.abs_lower() > 0:
-            turns.append(acb(0))
-            continue
-        x = (entry.mid() / difference).mid()
-        turn = (x * (N[j, i].mid() / difference)).abs_upper()
-        turns.append(x if float(turn.mid()) * reach**2 < 0.09 else acb(0))
-    return acb_mat(size, size, turns)
+    couplings = [v.mid() for v in N.entries()]
+    X = acb_mat(size, size)
+    for i in range(size):
+        for j in range(i):
+            difference = values[j] - values[i]
+            if not difference.abs_lower() > 0:
+                continue
+            there, back = couplings[i * size + j] / difference, couplings[j * size + i] / difference
+            if float((there * back).abs_upper().mid()) * reach**2 < 0.09:
+                X[i, j], X[j, i] = there.mid(), -back.mid()
+    return X
 
 
 def _neumann(P: arb_mat) -> arb_mat:
@@ -185,7 +186,7 @@ def _neumann(P: arb_mat) -> arb_mat:
     if not _contracts([arb(1)] * size, P):
         raise ZeroDivisionError
     inverted = (real_identity(size) - P).inv()
-    return arb_mat(size, size, [inverted[i, j].abs_upper() for i in range(size) for j in range(size)])
+    return arb_mat(size, size, [v.abs_upper() for v in inverted.entries()])
 
 
 # --- the scan ----------------------------------------------------------------------------------------------------

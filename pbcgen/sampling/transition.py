@@ -6,11 +6,11 @@ backward Euler and, if wanted, its output delayed. A jet encloses its Taylor coe
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
-from flint import acb, acb_mat, arb, arb_mat
+from flint import acb, acb_mat, arb, arb_mat, ctx
 
 from pbcgen.symbolic.real import BITS, ball, precision, rational
 from pbcgen.symbolic.real_matrices import RealMatrix, add, multiply
@@ -103,7 +103,7 @@ class RealJet:
 
 
 def _real_part(matrix: acb_mat) -> arb_mat:
-    return arb_mat(matrix.nrows(), matrix.ncols(), [v.real for _, _, v in entries(matrix)])
+    return arb_mat(matrix.nrows(), matrix.ncols(), [v.real for v in matrix.entries()])
 
 
 def _diagonal_blocks(size: int, *blocks: acb_mat) -> acb_mat:
@@ -130,21 +130,14 @@ def real_identity(size: int) -> arb_mat:
     return arb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
 
 
-def entries(matrix: acb_mat) -> Iterator[tuple[int, int, acb]]:
-    """Row, column and value of each entry, row by row."""
-    for i in range(matrix.nrows()):
-        for j in range(matrix.ncols()):
-            yield i, j, matrix[i, j]
-
-
 def midpoints(matrix: acb_mat) -> acb_mat:
     """The matrix of the centres of the balls."""
-    return acb_mat(matrix.nrows(), matrix.ncols(), [v.mid() for _, _, v in entries(matrix)])
+    return acb_mat(matrix.nrows(), matrix.ncols(), [v.mid() for v in matrix.entries()])
 
 
 def largest(matrix: acb_mat) -> arb:
     """An upper bound of the maximum norm (largest row sum)."""
-    rows = [sum((matrix[i, j].abs_upper() for j in range(matrix.ncols())), arb(0)) for i in range(matrix.nrows())]
+    rows = [sum((v.abs_upper() for v in row), arb(0)) for row in matrix.tolist()]
     return max((row.upper() for row in rows), default=arb(0))
 
 
@@ -222,11 +215,14 @@ def _exponential(v: acb, t: arb) -> acb:
 def _integral(v: acb, t: arb) -> acb:
     """``(e^{v t} - 1) / v``, also around v = 0 and t = 0."""
     z = v * t
-    if z.abs_upper() < 1:
-        total, term = acb(0), acb(1)
+    size = z.abs_upper()
+    if size < 1:
+        total, term, left = acb(0), acb(1), 1.0
         for k in range(1, 60):
-            total, term = total + term, term * z / (k + 1)
-        # The terms that are left sum to less than twice the last one.
+            total, term, left = total + term, term * z / (k + 1), left * float(size) / (k + 1)
+            if left < 2.0**-ctx.prec:
+                break
+        # The terms that are left sum to less than twice the first of them.
         return (total + _disc(2 * term.abs_upper())) * t
     return (z.exp() - 1) / v
 
@@ -356,5 +352,6 @@ class Transition:
 
 
 def _place(target: acb_mat, block: acb_mat, row: int, column: int) -> None:
-    for i, j, value in entries(block):
-        target[row + i, column + j] = value
+    for i, values in enumerate(block.tolist()):
+        for j, value in enumerate(values):
+            target[row + i, column + j] = value
