@@ -28,9 +28,13 @@ SCAN_BITS = 128
 #: Bits of the eigenvectors that serve as coordinates: any will do that nearly diagonalise.
 _EIGENVECTOR_BITS = 80
 
-#: How the width changes from cell to cell: soon after a failure, later, after a failure, and after several.
-_STEADY, _FAST, _BACK, _RETREAT = Fraction(11, 10), Fraction(3, 2), Fraction(7, 10), Fraction(1, 3)
-_CAUTION = 8
+#: Of what the rest may be, so much is aimed at; it grows with the third power of the width. Widths change by factors
+#: from the first to the second of these after a cell that holds, from the third to the fourth after one that does not.
+_AIM = 0.5
+_SLOWEST, _FASTEST, _RETREAT, _BACK = 0.7, 2.0, 0.3, 0.8
+#: How much of the way to where an eigenvalue seems to leave the unit disc a cell takes, and how close, relatively, it
+#: comes.
+_APPROACH, _CLOSE = Fraction(31, 32), 1e-6
 
 #: A cell narrower than this, relative to its period, ends the scan.
 NARROWEST = 1e-7
@@ -67,22 +71,44 @@ def _absolute(matrix: acb_mat) -> arb_mat:
     return arb_mat(matrix.nrows(), matrix.ncols(), [v.abs_upper() for v in matrix.entries()])
 
 
-def _contracts(gaps: list[arb], rest: arb_mat) -> bool:
+@dataclass(frozen=True)
+class _Contraction:
+    """Whether a weighted maximum norm contracts on a cell, with what tells how wide the next one may be.
+
+    Attributes:
+        holds: whether it does; so much is proved.
+        load: how large the rest is, about 1 where it just does not contract; or None.
+        wall: where, seen from the centre, an eigenvalue seems to leave the unit disc; or None.
+    """
+
+    holds: bool
+    load: float | None = None
+    wall: float | None = None
+
+    def __bool__(self) -> bool:
+        return self.holds
+
+
+_NONE = _Contraction(False)
+
+
+def _contracts(gaps: list[arb], rest: arb_mat) -> _Contraction:
     """Whether positive weights w exist with ``gaps_i w_i > (rest w)_i``: then the weighted maximum norm contracts."""
     size = len(gaps)
     if any(not g > 0 for g in gaps) or not all(v.is_finite() for v in rest.entries()):
-        return False
+        return _NONE
     g = np.array([float(v.mid()) for v in gaps])
     P = np.array([float(v.upper()) for v in rest.entries()]).reshape(size, size)
     try:
+        load = float(np.max(np.abs(np.linalg.eigvals(P / g[:, None])), initial=0.0))
         w = np.linalg.solve(np.diag(g) - P, g)
     except np.linalg.LinAlgError:
-        return False
+        return _NONE
     if not np.all(np.isfinite(w)) or np.any(w <= 0):
-        return False
+        return _Contraction(False, load)
     weights = arb_mat(size, 1, [arb(float(v)) for v in w])
     pushed = rest * weights
-    return all(gaps[i] * weights[i, 0] > pushed[i, 0] for i in range(size))
+    return _Contraction(all(gaps[i] * weights[i, 0] > pushed[i, 0] for i in range(size)), load)
 
 
 def _first_cell(transition: Transition, continuous: acb_mat, end: arb) -> bool:
@@ -104,10 +130,10 @@ def _first_cell(transition: Transition, continuous: acb_mat, end: arb) -> bool:
         size, size, [curved[i, j] * end + (halo if i != j else arb(0)) for i in range(size) for j in range(size)]
     )
     gaps = [-(v.real + end * v.abs_upper() ** 2 / 2) for v in values]
-    return _contracts([arb(g.lower()) for g in gaps], rest)
+    return _contracts([arb(g.lower()) for g in gaps], rest).holds
 
 
-def _cell(transition: Transition, centre: arb, r: arb, span: arb) -> bool:
+def _cell(transition: Transition, centre: arb, r: arb, span: arb) -> _Contraction:
     """Whether the loop is stable for every h within r of the centre; ``span`` is that set of periods.
 
     With ``M = N0 + delta N1 + delta^2 N2 + delta^3 N3`` in the eigenvectors of M(c), N3 over the whole cell, and
@@ -122,7 +148,7 @@ def _cell(transition: Transition, centre: arb, r: arb, span: arb) -> bool:
         inverse = V.inv()
         last = transition.jet(span).c3
     except (ValueError, ZeroDivisionError):
-        return False
+        return _NONE
     N0, N1, N2, N3 = (inverse * part * V for part in (jet.c0, jet.c1, jet.c2, last))
     D, L = _diagonal(N0), _diagonal(N1)
     reach = float(r.mid())
@@ -144,8 +170,12 @@ def _cell(transition: Transition, centre: arb, r: arb, span: arb) -> bool:
     try:
         rest = _neumann(_absolute(X) * r + _absolute(Y) * (r * r)) * defect
     except ZeroDivisionError:
-        return False
-    return _contracts([_gap(D[i, i], L[i, i], Q[i, i], r) for i in range(size)], rest)
+        return _NONE
+    gaps = [_gap(D[i, i], L[i, i], Q[i, i], r) for i in range(size)]
+    leaving = [_wall(D[i, i], L[i, i], Q[i, i], -reach) for i in range(size) if not gaps[i] > 0]
+    if leaving:
+        return _Contraction(False, wall=min((wall for wall in leaving if wall is not None), default=None))
+    return _contracts(gaps, rest)
 
 
 def _diagonal(matrix: acb_mat) -> acb_mat:
@@ -161,6 +191,16 @@ def _gap(value: acb, slope: acb, curve: acb, r: arb) -> arb:
     twist = 2 * (slope.real * curve.real + slope.imag * curve.imag)
     most = square + abs(tilt) * r + bend.union(arb(0)) * r**2 + abs(twist) * r**3 + abs(curve) ** 2 * r**4
     return arb((1 - most.abs_upper().sqrt()).lower())
+
+
+def _wall(value: acb, slope: acb, curve: acb, first: float) -> float | None:
+    """About the first delta at which ``|value + delta slope + delta^2 curve|`` is one; nothing rests on it."""
+    v, s, c = (complex(z.mid()) for z in (value, slope, curve))
+    short = float((1 - abs(value) ** 2).mid())
+    powers = [abs(c) ** 2, 2 * (s * c.conjugate()).real, abs(s) ** 2 + 2 * (v * c.conjugate()).real]
+    roots = np.roots([*powers, 2 * (v * s.conjugate()).real, -short]) if np.all(np.isfinite([v, s, c])) else np.zeros(0)
+    real = [float(z.real) for z in roots if abs(z.imag) < 1e-6 * abs(z) and z.real > first]
+    return min(real, default=None)
 
 
 def _following(N0: acb_mat, N: acb_mat, reach: float) -> acb_mat:
@@ -202,29 +242,39 @@ class _March:
     width: Fraction
     cells: list[tuple[Fraction, Fraction]]
     tries: int | None = None
+    wall: Fraction | None = None
 
     def run(self) -> bool:
         """Go on to the end; False where the cells become too narrow or the tries run out."""
-        streak = 0  # cells since the last failure; below zero, failures since the last cell
         while self.at < self.end:
             if self.tries is not None:
                 if self.tries == 0:
                     return False
                 self.tries -= 1
-            width = min(self.width, self.end - self.at)
+            width = min(self.width, self.end - self.at, self._room())
             upper = self.at + width
-            if self._holds(self.at, upper):
-                streak = max(streak, 0) + 1
+            found = self._contraction(self.at, upper)
+            wanted = (_AIM / found.load) ** (1 / 3) if found.load else _FASTEST if found else _RETREAT
+            if found:
                 self.cells.append((self.at, upper))
-                self.at, self.width = upper, _short(width * (_STEADY if streak <= _CAUTION else _FAST))
+                self.at = upper
+                if self.wall is None:
+                    self.width = _short(width * Fraction(min(max(wanted, _SLOWEST), _FASTEST)))
             else:
-                streak = min(streak, 0) - 1
-                self.width = _short(width * (_BACK if streak == -1 else _RETREAT))
+                self.wall = None if found.wall is None else (self.at + upper) / 2 + Fraction(found.wall)
+                self.width = _short(width * Fraction(min(max(wanted, _RETREAT), _BACK)))
                 if self.width < self.at * Fraction(NARROWEST):
                     return False
         return True
 
-    def _holds(self, lo: Fraction, hi: Fraction) -> bool:
+    def _room(self) -> Fraction:
+        """The width of a cell that ends a little before an eigenvalue leaves the unit disc, if it is not too close."""
+        if self.wall is None or self.wall - self.at < self.at * Fraction(_CLOSE):
+            self.wall = None
+            return self.end
+        return _short((self.wall - self.at) * _APPROACH)
+
+    def _contraction(self, lo: Fraction, hi: Fraction) -> _Contraction:
         centre = (lo + hi) / 2
         r = (hi - lo) / 2
         return _cell(self.transition, ball(rational(centre)), arb(ball(rational(r)).upper()), enclose(lo, hi))
