@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from flint import arb
+from flint import arb, arb_mat
 
 from pbcgen.proof.boxes import Box, halves, longest_side
 from pbcgen.proof.newton import System
@@ -27,6 +27,7 @@ def only_zero(system: System, zero: Sequence[Real], box: Box, boxes: int = 4000)
         boxes: how many parts may be looked at.
     """
     whole = [hi - lo for lo, hi in box]
+    inverse = _inverse(system([rational(midpoint(z)) for z in zero])[1])
     waiting = [box]
     for _ in range(boxes):
         if not waiting:
@@ -36,20 +37,21 @@ def only_zero(system: System, zero: Sequence[Real], box: Box, boxes: int = 4000)
         if any(is_finite(v) and sign(v) in (1, -1) for v in value):
             continue
         joined: list[Real] = [enclose(lo, hi).union(ball(z)) for (lo, hi), z in zip(part, zero, strict=True)]
-        if _regular(system(joined)[1], system([rational(midpoint(z)) for z in zero])[1]):
+        if inverse is not None and _regular(system(joined)[1], inverse):
             continue
         waiting += halves(part, longest_side(part, whole))
     return not waiting
 
 
-def _regular(slopes: RealMatrix, at_zero: RealMatrix) -> bool:
+def _inverse(slopes: RealMatrix) -> arb_mat | None:
+    return approximate_inverse(slopes) if all(is_finite(v) for row in slopes for v in row) else None
+
+
+def _regular(slopes: RealMatrix, inverse: arb_mat) -> bool:
     """Whether every matrix within the balls is regular: after multiplication with an inverse it is close to I."""
-    if not all(is_finite(v) for row in (*slopes, *at_zero) for v in row):
+    if not all(is_finite(v) for row in slopes for v in row):
         return False
-    y = approximate_inverse(at_zero)
-    if y is None:
-        return False
-    return all(_dominant(row, i) for i, row in enumerate((y * as_balls(slopes)).tolist()))
+    return all(_dominant(row, i) for i, row in enumerate((inverse * as_balls(slopes)).tolist()))
 
 
 def _dominant(row: Sequence[arb], i: int) -> bool:

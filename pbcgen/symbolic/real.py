@@ -51,8 +51,7 @@ def in_high_precision(function: Callable[P, T]) -> Callable[P, T]:
 
 def rational(value: Fraction | int) -> fmpq:
     """A Fraction as an exact number."""
-    fraction = Fraction(value)
-    return fmpq(fraction.numerator, fraction.denominator)
+    return fmpq(value.numerator, value.denominator)
 
 
 def fraction(value: fmpq) -> Fraction:

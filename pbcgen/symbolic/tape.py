@@ -233,21 +233,32 @@ class Tape:
         if tuple(len(argument) for argument in inputs) != self.input_sizes:
             raise ValueError(f"inputs of sizes {self.input_sizes} were expected")
         values: list[Any] = []
-        for instruction, spent in zip(self.instructions, self._spent, strict=True):
-            match instruction:
-                case Constant(value):
-                    values.append(algebra.const(value))
-                case Input(argument, index):
-                    values.append(inputs[argument][index])
-                case Operation(name, operands):
-                    method: Any = getattr(algebra, name, None)
-                    if method is None:
-                        where = getattr(algebra, "title", type(algebra).__name__)
-                        raise UnsupportedOperation(f"the operation `{name.rstrip('_')}` has no meaning in {where}")
-                    values.append(method(*(values[o] for o in operands)))
+        methods: dict[str, Any] = {}
+        for name, first, second, spent in self._program:
+            if name == "const":
+                values.append(algebra.const(first))
+            elif name == "input":
+                values.append(inputs[first][second])
+            else:
+                method = methods.get(name) or methods.setdefault(name, _method(algebra, name))
+                values.append(method(values[first]) if second is None else method(values[first], values[second]))
             for position in spent:
                 values[position] = None
         return [Matrix(m.shape, {at: values[v] for at, v in m.entries.items()}) for m in self.outputs]
+
+    @cached_property
+    def _program(self) -> tuple[tuple[str, Any, Any, tuple[int, ...]], ...]:
+        """The instructions as :meth:`walk` reads them: what to do, with what, and the values that are spent then."""
+        steps: list[tuple[str, Any, Any]] = []
+        for instruction in self.instructions:
+            match instruction:
+                case Constant(value):
+                    steps.append(("const", value, None))
+                case Input(argument, index):
+                    steps.append(("input", argument, index))
+                case Operation(name, operands):
+                    steps.append((name, operands[0], operands[1] if len(operands) > 1 else None))
+        return tuple((*step, spent) for step, spent in zip(steps, self._spent(), strict=True))
 
     def is_entire(self) -> bool:
         """Whether nothing occurs but what is defined and smooth for all arguments: no quotients, roots or switches."""
@@ -260,7 +271,6 @@ class Tape:
         divisor = self.instructions[operation.operands[1]]
         return isinstance(divisor, Constant) and divisor.value != 0
 
-    @cached_property
     def _spent(self) -> tuple[tuple[int, ...], ...]:
         """For each instruction the values that nothing after it needs: the partial sums of a long sum are as long."""
         last: dict[int, int] = {}
@@ -276,6 +286,15 @@ class Tape:
     def uses(self, name: str) -> bool:
         """Whether the operation ``name`` occurs."""
         return any(isinstance(i, Operation) and i.name == name for i in self.instructions)
+
+
+def _method(algebra: Algebra[Any], name: str) -> Any:
+    """What an operation means. Raises UnsupportedOperation if that is nothing."""
+    method = getattr(algebra, name, None)
+    if method is None:
+        where = getattr(algebra, "title", type(algebra).__name__)
+        raise UnsupportedOperation(f"the operation `{name.rstrip('_')}` has no meaning in {where}")
+    return method
 
 
 def exact_decimal(value: float) -> Fraction:
