@@ -257,8 +257,7 @@ def _hessian(derivation: Derivation, extended: bool) -> Rows:
     assert base is not None
     term = shaping(base)
     stiffness = diagonal([rational(v) for v in term.stiffness])
-    compensated = isinstance(base, PotentialCompensation)
-    shape = shape_at(derivation.plant, derivation.point, derivation.gamma, compensated=compensated)
+    shape = shape_at(derivation.plant, derivation.point, derivation.gamma, base)
     if extended:
         return extended_hessian(shape, stiffness, exact_matrix(term.K_c or ()))
     return shape.hessian(stiffness)

@@ -167,7 +167,7 @@ def _short(value: Fraction) -> Fraction:
 
 def _half_widths(situation: Situation, landscape: Landscape) -> list[Fraction]:
     """Half-widths of the box around the ellipsoid of the Hessian of W at x*."""
-    shape = shape_at(situation.plant, situation.point, situation.gamma, situation.compensation is not None)
+    shape = shape_at(situation.plant, situation.point, situation.gamma, situation.law)
     series: RealMatrix = [[rational(Fraction(float(v))) for v in row] for row in landscape.envelope.series_at_target()]
     with precision(BITS):
         inverted = inverse(dense(shape.hessian(series), len(shape.N)))

@@ -26,7 +26,7 @@ from pbcgen.control.situation import Situation
 from pbcgen.law.graph import LawGraph
 from pbcgen.law.settings import Setting, Settings
 from pbcgen.models.design import Design
-from pbcgen.models.laws import Law, PassiveOutput, PotentialCompensation, base_law, shaping
+from pbcgen.models.laws import Law, PassiveOutput, base_law, shaping
 from pbcgen.passivity.plant import Point
 from pbcgen.passivity.shaping import extended_hessian, shape_at
 from pbcgen.passivity.target_map import NotExplicit, TargetMap
@@ -345,9 +345,7 @@ class _Box:
         """The Hessian condition, that of (x, x_c) where it was proved; the least alpha beta and K_c decide."""
         law = self._law(cell, 0)
         base = base_law(law)
-        shape = shape_at(
-            self.situation.plant, point, self.situation.gamma, compensated=isinstance(base, PotentialCompensation)
-        )
+        shape = shape_at(self.situation.plant, point, self.situation.gamma, law)
         stiffness = diagonal([rational(v) for v in shaping(law).stiffness])
         with precision(BITS):
             if self.filtered and not isinstance(base, PassiveOutput):

@@ -377,10 +377,8 @@ class _AtTarget:
 
     def _shape(self, stages: _Stages) -> dict[str, Any]:
         assert self.output is not None
-        base = base_law(self.law)
-        compensated = isinstance(base, PotentialCompensation)
-        shape: Shape = shape_at(self.plant, self.point, self.output.gamma, compensated)
-        output = None if compensated else self.output.claim
+        shape: Shape = shape_at(self.plant, self.point, self.output.gamma, self.law)
+        output = None if isinstance(base_law(self.law), PotentialCompensation) else self.output.claim
         stages.add(gradient_condition(self.plant, self.point, shape, self._structure(), output))
         term = shaping(self.law)
         verdict: HessianVerdict = hessian_conditions(self.plant, shape, term.stiffness, term.K_c)

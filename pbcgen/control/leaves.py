@@ -63,7 +63,7 @@ def stable_on_leaves(situation: Situation, missing: Sequence[str]) -> Claim | No
     if not C:
         return None
     alpha, beta, K_c = situation.gains
-    shape = shape_at(situation.plant, situation.point, situation.gamma, situation.compensation is not None)
+    shape = shape_at(situation.plant, situation.point, situation.gamma, situation.law)
     stiffness = diagonal([rational(a * b) for a, b in zip(alpha, beta, strict=True)])
     rows = [[rational(v) for v in row] for row in K_c] if K_c is not None else None
     slope = [fmpq(0)] * len(C) if "gradient-condition" not in missing else _multipliers(C, shape.gradient)

@@ -13,7 +13,7 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.law.compensation import compensated_force
 from pbcgen.law.gain_matrices import exact_inverse
 from pbcgen.models.gains import Matrix, Vector
-from pbcgen.models.laws import BaseLaw, Integral, Law, NaturalDamping, PassiveOutput, base_law, shaping
+from pbcgen.models.laws import BaseLaw, Integral, Law, NaturalDamping, base_law, filters, shaping
 from pbcgen.passivity.flow import Flow, flow, flow_by_balance
 from pbcgen.passivity.lasalle import InvariantSet, branches, invariant_set
 from pbcgen.passivity.plant import Plant, Point
@@ -78,8 +78,7 @@ class Situation:
     @property
     def order(self) -> int:
         """The number of states of plant and controller."""
-        filters = 0 if isinstance(self.base, PassiveOutput) else 2 if isinstance(self.base, NaturalDamping) else 1
-        return self.plant.system.n + self.plant.system.m * (filters + isinstance(self.law, Integral))
+        return self.plant.system.n + self.plant.system.m * filters(self.law)
 
     @cached_property
     def family(self) -> LoopFamily:

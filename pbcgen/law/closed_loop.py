@@ -45,6 +45,9 @@ class ClosedLoop:
     input_units: tuple[str, ...]
 
 
+#: Coefficient with which the linearly implicit method ROS2 is L-stable.
+ROS2 = 1 - 1 / math.sqrt(2)
+
 #: Time constants of the slowest mode in a simulation whose length was left open, and the most samples of it.
 _TIME_CONSTANTS = 5
 _MOST_SAMPLES = 200_000

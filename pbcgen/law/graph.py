@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from typing import Any
 
 import casadi as ca
 
@@ -291,20 +292,17 @@ def _stack(law: Law, measurement: Measurement, parts: list[_Part], offset: ca.SX
     def start(h: Fraction) -> ca.SX:
         return ca.vertcat(*[part.start(h) for part in parts])
 
-    constants, settings = tuple(measurement.constants), measurement.settings
-    return LawGraph(
+    return _graph(
         law,
-        measurement.symbols,
-        xi,
-        t,
-        names,
-        (saturated[0], saturated[1]),
-        discretise,
-        constants,
-        settings,
-        start,
+        measurement,
         equilibrium_input,
-        Saturated(arguments, rate, u),
+        xi=xi,
+        t=t,
+        names=names,
+        continuous=(saturated[0], saturated[1]),
+        discretise=discretise,
+        start=start,
+        saturated=Saturated(arguments, rate, u),
     )
 
 
@@ -322,19 +320,28 @@ def _passive_output(law: PassiveOutput, measurement: Measurement, equilibrium_in
     y = _solved(c, N)
     continuous = (empty, shaped - k_p * ca.tanh(y))
     step = Discrete(N, c, empty, output)
-    constants, settings = tuple(measurement.constants), measurement.settings
-    return LawGraph(
+    return _graph(
         law,
-        measurement.symbols,
-        empty,
-        t,
-        (),
-        continuous,
-        lambda h: step,
-        constants,
-        settings,
-        lambda h: empty,
+        measurement,
         equilibrium_input,
+        xi=empty,
+        t=t,
+        names=(),
+        continuous=continuous,
+        discretise=lambda h: step,
+        start=lambda h: empty,
+    )
+
+
+def _graph(law: Law, measurement: Measurement, equilibrium_input: ca.SX, **formulas: Any) -> LawGraph:
+    """The graph with what comes from the measurement. It holds all that was read by then, so this comes last."""
+    return LawGraph(
+        law=law,
+        m=measurement.symbols,
+        constants=tuple(measurement.constants),
+        settings=measurement.settings,
+        equilibrium_input=equilibrium_input,
+        **formulas,
     )
 
 

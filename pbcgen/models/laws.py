@@ -297,6 +297,13 @@ def shaping(law: Law) -> Shaping:
     return Shaping(base.alpha, base.beta, base.K_c, base.R_c)
 
 
+def filters(law: Law) -> int:
+    """How many states the controller has for each input."""
+    base = base_law(law)
+    own = 0 if isinstance(base, PassiveOutput) else 2 if isinstance(base, NaturalDamping) else 1
+    return own + isinstance(law, Integral)
+
+
 def is_amplitude(gain: str) -> bool:
     """Whether a gain bounds a term of the input."""
     return gain.startswith("alpha") or gain == "k_p"

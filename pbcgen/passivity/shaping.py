@@ -8,6 +8,7 @@ from math import isfinite
 
 import casadi as ca
 
+from pbcgen.models.laws import Law, PotentialCompensation, base_law
 from pbcgen.passivity.local import Local
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.passivity.response import has_full_rank
@@ -56,19 +57,20 @@ class Shape:
         return result
 
 
-def shape_at(plant: Plant, point: Point, gamma: ca.SX, compensated: bool = False) -> Shape:
+def shape_at(plant: Plant, point: Point, gamma: ca.SX, law: Law | None = None) -> Shape:
     """Evaluate kappa, gradient and Hessians at x*.
 
     Args:
         plant: the system.
         point: x* and u* = -kappa.
         gamma: m x 1.
-        compensated: whether the controller cancels the potential energy (umec): then kappa plays no role and the
-            kinetic energy is shaped instead of S.
+        law: one that cancels the potential energy (umec) shapes the kinetic energy instead of S, and kappa plays no
+            role then.
     """
     system = plant.system
     kappa = tuple(-u for u in point.u)
     local = Local.of(plant, point)
+    compensated = isinstance(base_law(law), PotentialCompensation)
     total = local.kinetic if compensated and system.mechanical is not None else local.S + ca.dot(gamma, -system.u)
     gradient = ca.gradient(total, system.x)
     first, second, slope = local.walk(gradient, ca.jacobian(gradient, system.x), ca.jacobian(gamma, system.x).T)

@@ -175,8 +175,7 @@ def _combination(coefficients: list[str], factors: list[str]) -> str:
 def _shape(d: Derivation) -> tuple[Shape, Any] | None:
     if d.point is None or d.gamma is None or d.law is None:
         return None
-    compensated = isinstance(base_law(d.law), PotentialCompensation)
-    shape = shape_at(d.plant, d.point, d.gamma, compensated=compensated)
+    shape = shape_at(d.plant, d.point, d.gamma, d.law)
     return shape, diagonal([rational(v) for v in shaping(d.law).stiffness])
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -18,15 +17,13 @@ from pbcgen.emit.expressions import Graph, Printer, Statement
 from pbcgen.emit.literals import literal
 from pbcgen.emit.templating import templates_in
 from pbcgen.errors import UnsupportedOperation
+from pbcgen.law.closed_loop import ROS2
 from pbcgen.run.wrapper import Interface
 from pbcgen.symbolic.tape import Tape
 
 if TYPE_CHECKING:
     from pbcgen.law.closed_loop import ClosedLoop
     from pbcgen.models.design import Design
-
-#: Coefficient of ROS2 with which it is L-stable.
-_GAMMA = 1 - 1 / math.sqrt(2)
 
 
 @dataclass(frozen=True)
@@ -77,7 +74,7 @@ def loops_source(design: Design, loop: ClosedLoop, interface: Interface, frictio
         outputs=interface.outputs,
         x_star=[literal(np.float64(v)) for v in loop.x_star],
         u_star=[literal(np.float64(v)) for v in loop.u_star],
-        gamma=repr(_GAMMA),
+        gamma=repr(ROS2),
     )
 
 

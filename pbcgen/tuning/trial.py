@@ -18,18 +18,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from pbcgen.law.closed_loop import ROS2
 from pbcgen.law.compensation import compensated_force
 from pbcgen.law.graph import PSI_RANGE
 from pbcgen.models.design import Design
 from pbcgen.models.gains import Matrix, Vector, is_diagonal
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, base_law, gains
+from pbcgen.models.laws import Integral, Law, NaturalDamping, PassiveOutput, base_law, filters, gains
 from pbcgen.passivity.plant import Plant, Point
 from pbcgen.symbolic.real import approximate
 
 Array = NDArray[np.float64]
-
-#: Coefficient of ROS2 with which it is L-stable.
-GAMMA = 1 - 1 / np.sqrt(2)
 
 #: Newton steps for ``s + mu tanh(s) = r`` in a trial.
 _NEWTON = 7
@@ -149,10 +147,7 @@ class Trial:
 
     @cached_property
     def _xi(self) -> ca.SX:
-        m = self.plant.system.m
-        base = base_law(self.law)
-        count = 0 if isinstance(base, PassiveOutput) else 2 if isinstance(base, NaturalDamping) else 1
-        return ca.SX.sym("xi", m * (count + isinstance(self.law, Integral)))
+        return ca.SX.sym("xi", self.plant.system.m * filters(self.law))
 
     @cached_property
     def _step(self) -> ca.Function:
@@ -172,7 +167,7 @@ class Trial:
         x_star = [approximate(v) for v in self.point.x]
         A = np.array(values(x_star, [approximate(v) for v in self.point.u]))
         dt = h / self.steps
-        W = ca.sparsify(ca.DM(np.linalg.inv(np.eye(len(A)) - GAMMA * dt * A)))
+        W = ca.sparsify(ca.DM(np.linalg.inv(np.eye(len(A)) - ROS2 * dt * A)))
         field = ca.Function("field", [system.x, system.u], [self._at_values(system.xdot)])
         for _ in range(self.steps):
             k1 = ca.mtimes(W, field(x, u))

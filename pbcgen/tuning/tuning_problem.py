@@ -17,7 +17,7 @@ from pbcgen.errors import ModelError, NotProved
 from pbcgen.law.closed_loop import until_settled
 from pbcgen.models.design import Design
 from pbcgen.models.gains import Vector
-from pbcgen.models.laws import Integral, Law, NaturalDamping, PotentialCompensation, amplitudes, base_law, shaping
+from pbcgen.models.laws import Integral, Law, NaturalDamping, amplitudes, shaping
 from pbcgen.passivity.dissipation import port_damping
 from pbcgen.passivity.shaping import Shape, shape_at
 from pbcgen.passivity.storage import assumption_1
@@ -132,10 +132,9 @@ class Problem:
             )
         given = amplitudes(law)
         storage = assumption_1(plant)
-        compensated = isinstance(base_law(law), PotentialCompensation)
         trial = Trial(plant, point, found.gamma, found.eta, design, law)
         spectrum = Spectrum(family.A, design.delay)
-        shape = shape_at(plant, point, found.gamma, compensated)
+        shape = shape_at(plant, point, found.gamma, law)
         structure = storage.structure if storage.proved else None
         length = found.loop.duration if found.loop is not None else until_settled(None, design.sample_period)
         duration = length if wish.settling is None else max(4 * wish.settling, 20 * float(design.sample_period))
