@@ -426,9 +426,13 @@ def _proved(candidate: _Candidate, method: str, region: Region, forced: str) -> 
 
 
 def _refuted_gamma(plant: Plant, candidate: _Candidate, region: Region) -> Claim | None:
-    """A gamma that the user gave, and a state and input for which more is stored than supplied; else None."""
+    """A gamma that the user gave, and a state and input for which more is stored than supplied; else None.
+
+    The state is one that the model is stated for.
+    """
     if plant.system.gamma is None:
         return None
+    region = Region.stated(plant) if region.is_whole else region
     balance = _balance(plant, candidate.gamma)
     names = (*plant.system.state_names, *plant.system.input_names)
     found = search_with_inputs(plant, region, balance)

@@ -7,8 +7,7 @@ from typing import Any
 
 from flint import arb, fmpq
 
-from pbcgen.reading.growth import GLOBAL
-from pbcgen.reading.sectors import Sectors
+from pbcgen.reading.growth import GLOBAL, Growth
 from pbcgen.symbolic.plain.boxes import Box, ball, covered
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.formulas import rational
@@ -21,7 +20,7 @@ from pbcgen.symbolic.plain.values import apply, power, sign
 Rests = tuple[list[int], list[Any]]
 
 
-class Alone(Sectors):
+class Alone(Growth):
     """Two rests of the closed loop with the constant inputs U and ``Gamma = gamma + K_c^-1 U`` have
 
     ``U - u* + alpha tanh(beta (Gamma - Gamma*)) = 0``, hence ``dU^T dGamma < 0`` unless dU = 0, and then dGamma = 0.

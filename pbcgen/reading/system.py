@@ -116,7 +116,7 @@ class System:
 
     def functions(self, name: str) -> Matrix:
         """A matrix of exact functions."""
-        return [[self.field.lift(plain(v)) for v in row] for row in self.exact[name]]
+        return [self.field.continued([self.field.lift(plain(v)) for v in row]) for row in self.exact[name]]
 
     def column(self, name: str) -> list[Function]:
         """A column of exact functions."""

@@ -167,7 +167,7 @@ class Stability(Assumptions):
         self.grows(witness)
         self.settles(self.undriven(), witness)
         self.alone(witness["alone"])
-        return require(self.field.entire(moduli=True), "the model may not be smooth everywhere")
+        return require(self.field.entire(moduli=True), "the model may not be smooth everywhere", NotCheckable)
 
     def refuted_globally_asymptotically_stable(self) -> None:
         """x* is not attractive, or there is another equilibrium: by Krawczyk's test, apart from x*."""

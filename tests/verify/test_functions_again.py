@@ -6,7 +6,7 @@ import casadi as ca
 import pytest
 from certificates import forged, outcomes, signed
 
-from pbcgen import AffineSystem, Design, DynamicExtension, Parameters
+from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical, Parameters
 from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 
@@ -49,6 +49,7 @@ MODELS = {
         lambda x: x**2 / 2 + (1 + x**2) ** P.c,
     ),
     "a cube root": (lambda v: v * (1 + v**2) ** P.e,),
+    "an error function": (lambda v: v + ca.erf(v),),
 }
 
 
@@ -67,6 +68,7 @@ def test_every_verdict_is_checked_again(name):
         ("drag beside friction", lambda v: v * ca.fabs(v) / 3 - v / 5),
         ("drag on one side", lambda v: v * (ca.fabs(v) / 2 - v)),
         ("friction with a kink", lambda v: v / 2 + ca.fabs(v)),
+        ("an error function", lambda v: v - 2 * ca.erf(v)),
         ("a sine of a number", lambda v: ca.sin(4 * P.a) * v),
     ],
 )
@@ -76,6 +78,25 @@ def test_friction_that_drives_is_not_believed(good, bad):
     for document in (_document(_design(*MODELS[good], parameters=P)), _document(design)):
         found = outcomes(forged(document, design))
         assert "checked" not in {found["assumption-1"], found["passive-output"], found[GLOBAL]}
+
+
+@pytest.mark.parametrize("target", [0, "0.5"])
+def test_a_spring_with_a_bend_is_checked_again(target):
+    """CasADi writes the sign of q into the force; at the bend no Hessian is known, and none is claimed."""
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    spring = Mechanical([q], [p], V=q**2 / 2 + q * ca.fabs(q) / 5, G=[1], M=[1], D=[1])
+    document = _document(Design(spring, {"q": target}, DynamicExtension(2, 3, 5, 1), sample_period="1e-3"))
+    assert any(line.split()[1:2] == ["sign"] for line in document["model"])
+    assert _unchecked(document) == {}
+
+
+@pytest.mark.parametrize("friction", [ca.sign, lambda v: v + ca.sign(v) / 9, lambda v: ca.copysign(1, v) + v])
+def test_friction_that_jumps_shows_nothing_of_the_loop(friction):
+    """It never takes power; but no solution of the equations goes on where it jumps."""
+    design = _design(friction)
+    for document in (_document(_design(*MODELS["drag beside friction"], parameters=P)), _document(design)):
+        found = outcomes(forged(document, design))
+        assert "checked" not in {found["stable"], found[LOCAL], found[GLOBAL], found["sampled-stable"]}
 
 
 def test_friction_with_a_kink_is_not_linearised():

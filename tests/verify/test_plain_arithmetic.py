@@ -125,8 +125,52 @@ def test_a_rational_value_is_exact_as_it_is_for_the_prover(name, argument, expec
 
 
 def test_what_has_no_exact_meaning_is_named():
-    with pytest.raises(NotCheckable, match="sign"):
-        value(formulas_of(ca.sign(x)), [fmpq(1), fmpq(1)])
+    with pytest.raises(NotCheckable, match="floor"):
+        value(formulas_of(ca.floor(x)), [fmpq(1), fmpq(1)])
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        x * ca.sign(x),
+        ca.sign(y) * (x + y),
+        ca.fmin(x, y) * x,
+        ca.fmax(x * y, y**2),
+        ca.atan2(y, x),
+        ca.atan2(y, -x),
+        ca.copysign(x, y),
+        ca.erf(x) * y,
+        ca.erfinv(y),
+    ],
+)
+def test_functions_of_cases_agree(expression):
+    """With the provers' values, with CasADi's slopes, and as exact functions."""
+    formulas, point = formulas_of(expression), [exact(v) for v in POINT]
+    first = Tape.of([ca.vertcat(x, y)], [ca.densify(expression)]).walk(REAL, [point])[0].dense(fmpq(0))[0][0]
+    dual = value(formulas, variables(point))
+    assert arb(plain(dual)).overlaps(arb(first))
+    g = ca.Function("d", [ca.vertcat(x, y)], [ca.densify(ca.gradient(expression, ca.vertcat(x, y)))])
+    slopes = [approximate(plain(partial(dual, k))) for k in range(2)]
+    np.testing.assert_allclose(slopes, np.array(g([float(v) for v in POINT])).ravel(), rtol=1e-9, atol=1e-12)
+    field = Field(2, 64)
+    function = field.lift(value(formulas, field.symbols, field.lift))
+    assert arb(field.at(function.top, point) / field.at(function.bottom, point)).overlaps(arb(first))
+
+
+@pytest.mark.parametrize("name", ["sign", "fabs"])
+def test_nothing_is_known_of_a_sign_where_it_changes(name):
+    """Neither of its value nor of its slope, unless zero multiplies it; as a function it is no constant."""
+    for at in (fmpq(0), arb(0, 1)):
+        (v,) = variables([at])
+        found = apply(name, v)
+        assert not arb(plain(partial(found, 0))).abs_upper() < 10**6
+        assert name == "fabs" or plain(found).rad() > 10**6
+    field = Field(1, 16)
+    (v,) = field.symbols
+    assert apply("sign", v).number() is None
+    with pytest.raises(NotCheckable, match="jump"):
+        field.continued([apply("sign", v)])
+    assert not (apply("sign", v) * v - apply("fabs", v)).top
 
 
 def test_the_derivative_of_a_modulus_is_known_where_a_factor_vanishes_with_it():

@@ -19,10 +19,10 @@ _ONE = fmpq(1)
 
 def put_in(field: Field, a: Function, values: Sequence[Any]) -> Any:
     """The function with values of any kind in place of the symbols."""
-    (content, factors), value = a.bottom.factor(), field.at(a.top, values)
+    (content, factors), value, safe = a.bottom.factor(), field.at(a.top, values), field.everywhere(a.bottom)
     for factor, times in factors:
         below = field.at(factor, values)
-        if isinstance(plain(below), Function) and field.everywhere(factor):  # then it is so whatever is put in
+        if isinstance(plain(below), Function) and (safe or field.everywhere(factor)):  # so it is whatever is put in
             field.nowhere_zero.add(str(plain(below).top))
         for _ in range(int(times)):
             value = value / below

@@ -17,7 +17,7 @@ from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx, fmpz
 
 from pbcgen.symbolic.plain.outcomes import NotCheckable, require
 
-ODD = {"tanh", "atan", "asinh", "erf", "asin", "atanh"}
+ODD = {"tanh", "atan", "asinh", "erf", "asin", "atanh", "erfinv"}
 #: Functions that increase, and that are nowhere negative, where they are defined.
 INCREASING, NONNEGATIVE = ODD | {"exp", "log", "sqrt"}, {"exp", "sqrt", "fabs"}
 #: Functions that are analytic on the whole line; the others may enter a proof only where the model has them.
@@ -39,6 +39,22 @@ def times(a: Any, b: Any) -> Any:
     return fmpq(0) if isinstance(product, arb) and product == 0 and product.is_exact() else product
 
 
+def _direction(a: Any) -> Any:
+    """The sign, which is the derivative of the absolute value; at zero only a factor zero leaves something known.
+
+    As a function it is ``|a| / a``, without a note of the divisor: what remains of it is looked at (``continued``).
+    """
+    if isinstance(a, Function):
+        modulus = a.function("fabs")
+        return a.field.quotient(modulus.top * a.bottom, modulus.bottom * a.top)
+    if isinstance(plain(a), Function):
+        return Dual(_direction(a.value), {})
+    if sign(plain(a)) in (1, -1):
+        return fmpq(sign(plain(a)))
+    inner = dict.fromkeys(a.slope if isinstance(a, Dual) else (), arb("nan"))
+    return Dual(_direction(a.value), inner) if inner else arb(0, arb(2) ** 10**9)
+
+
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "assign": lambda a: a,
     "assign_first": lambda a, _: a,
@@ -51,7 +67,12 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "fabs": lambda a: a.function("fabs") if isinstance(a, Value) else abs(a),
     "twice": lambda a: a + a,
     "inv": lambda a: fmpq(1) / a,
+    "sign": _direction,
+    "copysign": lambda a, b: apply("fabs", a) * _direction(b),
+    "fmin": lambda a, b: (a + b - apply("fabs", a - b)) / 2,
+    "fmax": lambda a, b: (a + b + apply("fabs", a - b)) / 2,
     "hypot": lambda a, b: apply("sqrt", a * a + b * b),
+    "atan2": lambda a, b: apply("atan", a / (apply("hypot", a, b) + b)) * 2,
     "expm1": lambda a: apply("exp", a) - 1,
     "log1p": lambda a: apply("log", a + 1),
     "tan": lambda a: apply("sin", a) / apply("cos", a),
@@ -90,19 +111,6 @@ def _known(name: str, a: Any) -> fmpq | None:
     return None
 
 
-def _direction(a: Any, modulus: Any) -> Any:
-    """The derivative of the absolute value; unknown at zero, where only a factor zero leaves something known.
-
-    As a function it is ``|a| / a``, without a note of the divisor: what remains of it is looked at (``continued``).
-    """
-    if isinstance(a, Function):
-        return a.field.quotient(modulus.top * a.bottom, modulus.bottom * a.top)
-    if sign(plain(a)) in (1, -1):
-        return fmpq(sign(plain(a)))
-    inner = dict.fromkeys(a.slope if isinstance(a, Dual) else (), arb("nan"))
-    return Dual(_direction(a.value, modulus), inner) if inner else arb(0, arb(2) ** 10**9)
-
-
 #: The derivative of each function, from its argument a and its value v.
 _SLOPES: dict[str, Callable[[Any, Any], Any]] = {
     "exp": lambda a, v: v,
@@ -117,7 +125,9 @@ _SLOPES: dict[str, Callable[[Any, Any], Any]] = {
     "asinh": lambda a, v: 1 / apply("sqrt", a * a + 1),
     "acosh": lambda a, v: 1 / apply("sqrt", a - 1) / apply("sqrt", a + 1),
     "atanh": lambda a, v: 1 / (1 - a * a),
-    "fabs": _direction,
+    "erf": lambda a, v: apply("exp", -(a * a)) / apply("sqrt", apply("atan", a * 0 + 1)),
+    "erfinv": lambda a, v: apply("exp", v * v) * apply("sqrt", apply("atan", v * 0 + 1)),
+    "fabs": lambda a, v: _direction(a),
 }
 
 
