@@ -17,7 +17,7 @@ from pbcgen.certify.attraction_witness import eliminate, in_squares, read
 from pbcgen.certify.growth_witness import current_signs, increase
 from pbcgen.certify.writing import Writing
 from pbcgen.proof.tree import cover
-from pbcgen.reading.alone import Rests
+from pbcgen.reading.overall import Rests
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.matrices import is_definite, symmetric

@@ -13,6 +13,7 @@ import numpy as np
 from flint import arb, arb_mat
 
 from pbcgen.certify.attraction_witness import eliminate, read
+from pbcgen.certify.limits_witness import what_is_left
 from pbcgen.certify.writing import Writing
 from pbcgen.control.derive import Derivation
 from pbcgen.proof.claim import Claim, Status
@@ -42,7 +43,7 @@ def adjustable(derivation: Derivation, system: Stability, claim: Claim, terms: W
     system.witness = {**system.witness, "adjustable": witness}
     if not system.rests():
         return None
-    return _point(system, claim, witness) if claim.status is Status.REFUTED else _cells(system, witness)
+    return _point(system, claim, witness) if claim.status is Status.REFUTED else _cells(system, witness, terms)
 
 
 def _rest(derivation: Derivation) -> dict[str, Any] | None:
@@ -93,9 +94,12 @@ def _dependent(system: Stability, terms: Writing) -> dict[str, Any] | None:
     return None
 
 
-def _cells(system: Stability, witness: dict[str, Any]) -> dict[str, Any] | None:
+def _cells(system: Stability, witness: dict[str, Any], terms: Writing) -> dict[str, Any] | None:
+    if system.compensated:
+        limits, cut = what_is_left(system.at([hi for _, hi in system.box]), terms), _cut(system)
+        return None if limits is None or cut is None else witness | {"cells": cut, "limits": limits}
     trees: list[str] = []
-    for k in range(0 if system.compensated else len(system.model.limits)):
+    for k in range(len(system.model.limits)):
         found = tree(system.room(k), [(fraction(lo), fraction(hi)) for lo, hi in system.box], {}, _MOST_BOXES)
         if found is None:
             return None

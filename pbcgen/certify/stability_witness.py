@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property, partial
 from typing import Any
 
@@ -13,9 +13,10 @@ from flint import arb, arb_mat, ctx, fmpq
 
 from pbcgen.certify import velocity_witness
 from pbcgen.certify.alone_witness import Circuit, alone
-from pbcgen.certify.attraction_witness import combined, eliminate, in_squares, read, steps_to_rest
+from pbcgen.certify.attraction_witness import combined, eliminate, read, steps_to_rest
 from pbcgen.certify.dissipation_witness import sampled_damping
 from pbcgen.certify.growth_witness import convex_growth, growth
+from pbcgen.certify.limits_witness import what_is_left
 from pbcgen.certify.settings_witness import adjustable
 from pbcgen.certify.velocity_witness import SQUARES, squares
 from pbcgen.certify.writing import Writing
@@ -25,22 +26,22 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.lasalle import InvariantSet
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.lyapunov import Kind, lyapunov
-from pbcgen.proof.tree import tree
-from pbcgen.reading.growth import GLOBAL
+from pbcgen.proof.tree import cover
+from pbcgen.reading.overall import GLOBAL
 from pbcgen.symbolic.linear import Inconsistent, solve
 from pbcgen.symbolic.plain.elimination import Elimination, put_in
-from pbcgen.symbolic.plain.formulas import Formulas, rational
-from pbcgen.symbolic.plain.matrices import Matrix
+from pbcgen.symbolic.plain.formulas import rational
+from pbcgen.symbolic.plain.matrices import Matrix, product, transpose
 from pbcgen.symbolic.plain.outcomes import Fails, NotCheckable
 from pbcgen.symbolic.plain.spectra import krawczyk, stable
 from pbcgen.symbolic.plain.values import Function, Grow, plain, sign, variables
 from pbcgen.symbolic.plain.values import partial as slope_by
-from pbcgen.symbolic.real import approximate, fraction, midpoint
+from pbcgen.symbolic.real import approximate, midpoint
 from pbcgen.verify.claims import LARGEST_ROUTH, bits_for
 from pbcgen.verify.stability import Stability
 
-#: Boxes over a period of the angles for each limit.
-_MOST_BOXES = 3000
+#: Parts of the range of periods.
+_MOST_PERIODS = 200
 _DIGITS = (5, 8, 12, 17)
 _RADIUS, _ROUNDS, _PLACES = "1e-70", 12, 80
 _MISFITS = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError)
@@ -148,21 +149,8 @@ class _Work:
             return None
         if claim.status is Status.REFUTED:
             return {"q": list((claim.counterexample or {})["x"].values())}
-        limits = [in_squares(system.field, [[room]], self.terms) or self._by_boxes(room) for room in system.rooms]
-        return None if None in limits else {"limits": limits}
-
-    def _by_boxes(self, room: Function) -> list[Any] | None:
-        """What is left to a limit, over the domain or a period."""
-        used, place, one = sorted(room.used), self.terms.function(room), self.terms.put("constant 1")
-        function = Formulas.parse(self.terms.lines())
-        self.system.__dict__["placed"] = read(self.system, self.terms)
-        ends = [self.system.extent("saturation", self.system.placed[place], k) for k in used]
-
-        def value(x: Sequence[Any]) -> Any:
-            return function.walk(fmpq, {"state": dict(zip(used, x, strict=True))}, None, [place])[place]
-
-        found = tree(value, [(fraction(lo), fraction(hi)) for lo, hi in ends], {}, _MOST_BOXES)
-        return None if found is None else [["1", [["box", place, [found, used, {}], True]], [one]]]
+        limits = what_is_left(system, self.terms)
+        return None if limits is None else {"limits": limits}
 
     def local(self, claim: Claim) -> Witness:
         """`stable` and `asymptotically-stable`."""
@@ -340,6 +328,8 @@ class _Work:
         """`sampled-stable`."""
         if claim.status is Status.REFUTED:
             return self._large(self.system.sampled, "schur")
+        if "storage" in claim.certificate:
+            return self._varied(claim.certificate["storage"])
         large = len(self.system.continuous) > LARGEST_ROUTH
         decreases = large and rational(claim.certificate.get("lyapunov_period", "0")) > self.system.period
         if claim.domain == "sampled loop, all x" or decreases or not (large or stable(self.system.sampled, True)):
@@ -351,6 +341,15 @@ class _Work:
             if found is not None:
                 return found
         return self._large(self.system.sampled, "schur")
+
+    def _varied(self, factor: list[list[float]]) -> Witness:
+        """P = F^T F for periods that vary, and how their range is cut."""
+        system = self.system
+        F = [[rational(f"{v:.17g}") for v in row] for row in factor]
+        rows = [[f"{approximate(v):.17g}" for v in row[: i + 1]] for i, row in enumerate(product(transpose(F), F))]
+        P = [[rational(rows[max(i, j)][min(i, j)]) for j in range(len(rows))] for i in range(len(rows))]
+        found = cover(system.periods, system.falling(P), ".", _MOST_PERIODS)
+        return None if found is None else {"P": rows, "periods": found}
 
 
 _MAKERS = {

@@ -236,6 +236,8 @@ def _certificate(routes: Routes) -> dict[str, object]:
     if routes.lyapunov.largest is not None:
         result["lyapunov_period"] = str(routes.lyapunov.largest)
     result["cells"] = [[str(a), str(b)] for a, b in routes.scan.cells]
+    if routes.jitter is not None and routes.jitter.storage is not None:
+        result["storage"] = routes.jitter.storage.tolist()
     return result
 
 

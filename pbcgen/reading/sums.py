@@ -37,6 +37,10 @@ class Sums(System):
         """Terms by their places; None is zero."""
         return [self.field.lift(0 if place is None else self.placed[place]) for place in places]
 
+    def matrix(self, claim: str) -> Matrix:
+        """The matrix Lambda of a witness."""
+        return [[rational(v) for v in row] for row in self.witness[claim]["Lambda"]]
+
     def storage(self, claim: str) -> Matrix | None:
         """The matrix P of a witness, given by its lower triangle."""
         rows = self.witness[claim].get("P")

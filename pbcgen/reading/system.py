@@ -372,15 +372,20 @@ class System:
 
     @cached_property
     def sampled(self) -> Matrix:
-        """The transition over one period: u follows from the updated xi (backward Euler), and is held.
+        """The transition over one period."""
+        return self.transition(self.period)
 
-        With a delay the past inputs that still act are states too, the latest first, and two inputs share a period.
+    def transition(self, time: Any) -> Matrix:
+        """The transition over some time, for which the controller takes its period.
+
+        u follows from the updated xi (backward Euler), and is held. With a delay the past inputs that still act are
+        states too, the latest first, and two inputs share a period.
         """
         (A, B), (P, Q, C, D) = self.plant, self.controller
         h, k, m = self.period, self.n + len(Q), self.m
         delay = rational(self.model.words.get("delay", ["0"])[0])
         whole = int(delay.p // delay.q)
-        early = (delay - whole) * h
+        early = delay - whole
         past = whole + (early > 0)
         unit, later = diagonal([fmpq(1)] * (k + past * m)), [fmpq(0)] * (past * m)
         xi = inverse(plus(diagonal([fmpq(1)] * len(Q)), Q, -h)) if Q else []
@@ -388,8 +393,8 @@ class System:
         u = blocks([[plus(D, product(C, x)), product(C, xi)]]) if Q else D
         inputs = [*([*row, *later] for row in u), *unit[k:]]
         moved = unit[: self.n]
-        for time, ago in [(early, past)] * (early > 0) + [(h - early, whole)]:
-            held, push = zero_order_hold(A, B, time)
+        for share, ago in [(early, past)] * (early > 0) + [(1 - early, whole)]:
+            held, push = zero_order_hold(A, B, time * share)
             moved = plus(product(held, moved), product(push, inputs[ago * m : ago * m + m]))
         return [*moved, *([*a, *b, *later] for a, b in zip(x, xi, strict=True)), *inputs[: past * m]]
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from flint import fmpq
 
-from pbcgen.reading.alone import Alone
-from pbcgen.reading.growth import GLOBAL
+from pbcgen.reading.overall import GLOBAL, Overall
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
-from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, is_definite, plus, product, transpose
 from pbcgen.symbolic.plain.outcomes import NotCheckable, require
 from pbcgen.symbolic.plain.spectra import inverse
@@ -21,7 +19,7 @@ _ELSEWHERE = {"all x where the model is defined", "at x*", "near x*", "all input
 _ELSEWHERE |= {"sampled loop", "sampled loop, all x"}
 
 
-class Assumptions(Alone):
+class Assumptions(Overall):
     """One method for each claim and status; it raises Fails unless the certificate shows the claim."""
 
     def reaches(self, claim: str) -> bool:
@@ -175,8 +173,7 @@ class Assumptions(Alone):
         require(min(Lambda) > 0 and 1 <= len(eta) <= self.n - self.m, "Lambda or eta is not as it must be")
         coupling = product(self.slope("eta"), transpose(self.slope("gamma")))
         self.zero([v for row in coupling for v in row], "gamma and eta are coupled")
-        rates = eta + gamma
-        self.nonnegative(plus(self.power, product(transpose(rates), diagonal(Lambda), rates), -1), "assumption-3")
+        self.damps("assumption-3", eta + gamma, diagonal(Lambda))
 
     def refuted_assumption_3(self) -> None:
         """On a set of states and inputs nothing is lost, and an output is not zero; or a state gains power."""
@@ -203,12 +200,11 @@ class Assumptions(Alone):
         """Theta with the constants of Assumption 3, or with a Lambda that is not diagonal."""
         self.proved_assumption_3()
         if "Lambda" in self.witness["theta"]:
-            return self.carried(self.exceeded("theta", self.rate("eta") + self.rate("gamma")))
+            return self.carried(self.damps("theta", self.rate("eta") + self.rate("gamma"), self.matrix("theta")))
         return self.carried(diagonal(self.given("assumption-3", "Lambda_l") + self.given("assumption-3", "Lambda_c")))
 
-    def exceeded(self, claim: str, rates: Matrix) -> Matrix:
-        """The Lambda of a witness, if ``u^T gamma' - S' >= |rates|^2_Lambda``."""
-        Lambda = [[rational(v) for v in row] for row in self.witness[claim]["Lambda"]]
+    def damps(self, claim: str, rates: Matrix, Lambda: Matrix) -> Matrix:
+        """Lambda, if it is symmetric and ``u^T gamma' - S' >= |rates|^2_Lambda``."""
         require(Lambda == transpose(Lambda), "Lambda is not symmetric")
         self.nonnegative(plus(self.power, product(transpose(rates), Lambda, rates), -1), claim)
         return Lambda
@@ -253,13 +249,16 @@ class Assumptions(Alone):
 
     def proved_saturation(self) -> None:
         """Every input stays within its limits; that a force which is compensated does so is written in squares."""
-        steady = not self.compensated or self.model.limits or all(map(self.field.bounded, self.force))
+        if not self.compensated:
+            return require({*map(sign, self.rooms)} <= {0, 1}, "an input may leave its limits")
+        steady = self.model.limits or all(map(self.field.bounded, self.force))
         require(steady, "grad V has no bound and the inputs no limits", NotCheckable)
-        for k, room in enumerate(self.rooms):
-            if self.compensated:
-                self.nonnegative([[room]], "saturation", {"squares": self.witness["saturation"]["limits"][k]})
-            else:
-                require(sign(room) in (0, 1), "an input may leave its limits")
+        return self.fit(self.witness["saturation"]["limits"])
+
+    def fit(self, limits: Sequence[Any]) -> None:
+        """What is left to each limit of a force that is compensated has no negative values."""
+        for room, squares in zip(self.rooms, limits, strict=True):
+            self.nonnegative([[room]], "saturation", {"squares": squares})
 
     def refuted_saturation(self) -> None:
         """A limit is exceeded when the tanh terms are close to one, at some positions if a force is compensated."""

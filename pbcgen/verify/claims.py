@@ -8,7 +8,7 @@ from typing import Any
 
 from flint import ctx
 
-from pbcgen.reading.growth import GLOBAL
+from pbcgen.reading.overall import GLOBAL
 from pbcgen.symbolic.plain.outcomes import Fails, Malformed, NotCheckable, require
 from pbcgen.symbolic.plain.values import Grow
 from pbcgen.verify.stability import Stability
@@ -69,10 +69,8 @@ def find(system: Stability, claim: str, status: str) -> Finding:
         if claim in _LOOP:
             system.closes()
         system.once(check)
-    except NotCheckable as reason:
-        return Finding(claim, status, "recorded", str(reason))
-    except Fails as reason:
-        return Finding(claim, status, "fails", str(reason))
+    except (NotCheckable, Fails) as reason:
+        return Finding(claim, status, "fails" if isinstance(reason, Fails) else "recorded", str(reason))
     except _MISFITS as error:
         return Finding(claim, status, "fails", f"the data do not fit ({type(error).__name__}: {error})")
     return Finding(claim, status, "checked")

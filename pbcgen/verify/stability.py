@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from math import prod
 from typing import Any
 
-from flint import arb_mat, fmpq
+from flint import arb, arb_mat, fmpq
 
-from pbcgen.reading.growth import GLOBAL as _GLOBAL
-from pbcgen.symbolic.plain.boxes import covered, shown
+from pbcgen.reading.overall import GLOBAL as _GLOBAL
+from pbcgen.symbolic.plain.boxes import Box, ball, covered, shown
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.formulas import combination, rational
-from pbcgen.symbolic.plain.matrices import diagonal, dot, is_definite, plus, product, transpose
+from pbcgen.symbolic.plain.matrices import Matrix, diagonal, dot, is_definite, plus, product, transpose
 from pbcgen.symbolic.plain.outcomes import NotCheckable, require
-from pbcgen.symbolic.plain.spectra import stable
-from pbcgen.symbolic.plain.values import sign
+from pbcgen.symbolic.plain.spectra import definite_about, stable
+from pbcgen.symbolic.plain.values import Dual, partial, sign
 from pbcgen.verify.assumptions import Assumptions
 
 
@@ -179,16 +179,37 @@ class Stability(Assumptions):
 
     def proved_sampled_stable(self) -> None:
         """The storage decreases, where its damping is given; else the linearised sampled loop is Schur."""
-        whole = self.domain["sampled-stable"] == "sampled loop, all x"
-        storage = "Lambda" in self.witness["sampled-stable"]
-        if self.jitter and ("natural-damping" in self.law or not storage):  # the controller knows its own period only
-            raise NotCheckable("periods that vary")
-        if storage:
+        witness, whole = self.witness["sampled-stable"], self.domain["sampled-stable"] == "sampled loop, all x"
+        if "Lambda" in witness and not (self.jitter and "natural-damping" in self.law):  # filters step by one period
             self.once(self.proved_globally_asymptotically_stable if whole else self.proved_asymptotically_stable)
             return self._decreases()
+        if self.jitter and not whole:
+            tree, P = witness["periods"], self.storage("sampled-stable") or []
+            falls = is_definite(P) and covered(tree, self.periods, self.falling(P))
+            return require(falls, "the form may grow with some periods")
         known = self.is_schur is False or (self.is_schur and not whole)
         require(known, "the certificate does not hold the damping that sampling consumes", NotCheckable)
         return require(self.is_schur, "the linearised sampled loop is not Schur")
+
+    def falling(self, P: Matrix) -> Callable[[str, Box], bool]:
+        """Whether a quadratic form decreases with all periods of a part of their range: about its middle, by slopes."""
+
+        def lost(time: Any) -> Matrix:
+            step = self.transition(time)
+            return plus(P, product(transpose(step), P, step), -1)
+
+        def falls(kind: str, part: Box) -> bool:
+            ((lo, hi),) = part
+            here, over = lost((lo + hi) / 2), lost(Dual(ball(lo, hi), {0: fmpq(1)}))
+            slope = [[partial(v, 0) for v in row] for row in over]
+            return kind == "." and definite_about(here, plus(here, slope, arb(0, arb(hi - lo) / 2)))
+
+        return falls
+
+    @property
+    def periods(self) -> Box:
+        """The range of the periods, which may come in any sequence."""
+        return [(self.period * (1 - self.jitter), self.period * (1 + self.jitter))]
 
     @cached_property
     def is_schur(self) -> bool | None:
@@ -224,7 +245,7 @@ class Stability(Assumptions):
                 least = row[i][0] - row[i][1] - sum((abs(c) + r for j, (c, r) in enumerate(row) if j != i), fmpq(0))
                 consumed[i] += max(-least, fmpq(0))
         spent = diagonal([fmpq(0)] * (len(rates) - self.m) + [c * h / 2 for c in consumed])
-        left = plus(self.exceeded("sampled-stable", rates), spent, -1)
+        left = plus(self.damps("sampled-stable", rates, self.matrix("sampled-stable")), spent, -1)
         require(is_definite(self.carried(left) if damped else left), "the storage may grow from sample to sample")
 
     # --- at all settings -------------------------------------------------------------------------------------------
@@ -238,7 +259,7 @@ class Stability(Assumptions):
         passed = covered(cells, self.box, lambda kind, part: kind == "." and self.passes(part))
         require(passed, "a cell of settings may fail")
         if self.compensated:
-            return self.at([hi for _, hi in self.box]).proved_saturation()
+            return self.at([hi for _, hi in self.box]).fit(witness["limits"])
         fits = (shown(witness["trees"][k], self.box, self.room(k), {}) for k in range(len(self.model.limits)))
         return require(all(fits), "an input may leave its limits")
 

@@ -109,7 +109,11 @@ def test_every_verdict_on_settings_is_checked_again(name):
 @pytest.mark.parametrize("name", [name for name, (_, status) in DESIGNS.items() if status == "PROVED"])
 def test_other_cells_show_nothing(name):
     document, entry = _document(name)
-    cells, trees = entry["witness"]["cells"], entry["witness"]["trees"]
+    cells, trees, limits = (entry["witness"].get(part, []) for part in ("cells", "trees", "limits"))
+    assert name != "a compensated arm" or limits
+    for k in range(len(limits)):  # for the largest amplitudes of the box
+        assert outcomes(_with(document, limits=[*limits[:k], [], *limits[k + 1 :]]))[ADJUSTABLE] == "fails"
+        assert outcomes(_with(document, limits=limits[:k]))[ADJUSTABLE] == "fails"
     for other in (cells[:-1], cells + ".", "", "z" + cells[1:], "," + cells[1:]):
         assert outcomes(_with(document, cells=other))[ADJUSTABLE] == "fails", other
     for k, tree in enumerate(trees):

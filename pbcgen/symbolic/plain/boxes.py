@@ -18,6 +18,7 @@ from typing import Any
 from flint import arb, fmpq
 
 from pbcgen.symbolic.plain.matrices import Matrix, dot, is_definite
+from pbcgen.symbolic.plain.outcomes import require
 from pbcgen.symbolic.plain.values import partial, plain, variables
 
 Box = list[tuple[Any, Any]]
@@ -44,8 +45,7 @@ def covered(tree: str, box: Box, holds: Callable[[str, Box], bool]) -> bool:
 
 def halves(box: Box, k: int) -> tuple[Box, Box]:
     """The box cut in the middle of coordinate k. Raises IndexError."""
-    if not 0 <= k < len(box):
-        raise IndexError("the tree cuts a coordinate that the box does not have")
+    require(0 <= k < len(box), "the tree cuts a coordinate that the box does not have", IndexError)
     lo, hi = box[k]
     middle = (lo + hi) / 2
     return [*box[:k], (lo, middle), *box[k + 1 :]], [*box[:k], (middle, hi), *box[k + 1 :]]
@@ -73,11 +73,8 @@ def leaf(kind: str, box: Box, function: Callable[[Sequence[Any]], Any], zeros: M
 
 def _hessian(function: Callable[[Sequence[Any]], Any], box: Box, chosen: Sequence[int]) -> Matrix:
     """Second derivatives in the chosen coordinates over the box."""
-    balls: list[Any] = [ball(lo, hi) for lo, hi in box]
-    for k, dual in zip(chosen, variables([balls[k] for k in chosen], 2), strict=True):
-        balls[k] = dual
-    value, size = function(balls), range(len(chosen))
-    return [[plain(partial(partial(value, i), k)) for k in size] for i in size]
+    value = function(variables([ball(lo, hi) for lo, hi in box], 2))
+    return [[plain(partial(partial(value, i), k)) for k in chosen] for i in chosen]
 
 
 def ball(lo: fmpq, hi: fmpq) -> Any:

@@ -55,7 +55,7 @@ def krawczyk(function: Map, centre: Sequence[fmpq], radius: fmpq) -> list[arb] |
     return found if all(b.contains_interior(k) for b, k in zip(box, found, strict=True)) else None
 
 
-def zero_order_hold(A: Matrix, B: Matrix, h: fmpq) -> tuple[Matrix, Matrix]:
+def zero_order_hold(A: Matrix, B: Matrix, h: Any) -> tuple[Matrix, Matrix]:
     """``x' = A x + B u`` with u constant over h: (e^{Ah}, int_0^h e^{As} ds B)."""
     n, m = len(A), len(B[0])
     rows = [[v * h for v in (*a, *b)] for a, b in zip(A, B, strict=True)] + [[fmpq(0)] * (n + m)] * m
@@ -120,6 +120,12 @@ def _in_discs(modal: acb_mat, discrete: bool) -> bool:
     reach = plus(diagonal([m.mid() for m in margins]), [[r.abs_upper() for r in row] for row in radii], -1)
     weights = [d.mid() for (d,) in arb_mat(reach).solve(arb_mat([[1]] * len(margins))).tolist()]
     return all(d > 0 and dot(row, weights) < m * d for d, row, m in zip(weights, radii, margins, strict=True))
+
+
+def definite_about(centre: Matrix, over: Matrix) -> bool:
+    """Whether a symmetric matrix is positive definite, and all others of a connected set: none of them is singular."""
+    nearly_one = product(inverse([[arb(v).mid() for v in row] for row in centre]), over)
+    return bool(is_definite(centre)) and _in_discs(acb_mat(-arb_mat(nearly_one)), False)
 
 
 def stable(a: Matrix, discrete: bool, storage: Matrix | None = None) -> bool | None:

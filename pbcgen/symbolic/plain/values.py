@@ -55,6 +55,20 @@ def _direction(a: Any) -> Any:
     return Dual(_direction(a.value), inner) if inner else arb(0, arb(2) ** 10**9)
 
 
+def power(a: Any, b: Any) -> Any:
+    """``a**b``: by products and a square root if 2b is an integer, else ``exp(b log(a))``."""
+    b = b.value if isinstance(b, Dual) and not b.slope else b
+    exponent = b.number() if isinstance(b, Function) else b
+    if not isinstance(exponent, fmpq):
+        return apply("exp", apply("log", a) * b)
+    if exponent.q > 2:  # with a fraction below one, so that a**2.7 is a a**1.7
+        whole = fmpq(int(exponent.p) // int(exponent.q))
+        return power(a, whole) * apply("exp", apply("log", a) * (exponent - whole))
+    base = a if exponent.q == 1 else apply("sqrt", a)
+    result = prod([base] * abs(int(exponent.p)), start=fmpq(1))
+    return 1 / result if exponent < 0 else result
+
+
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "assign": lambda a: a,
     "assign_first": lambda a, _: a,
@@ -68,6 +82,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "twice": lambda a: a + a,
     "inv": lambda a: fmpq(1) / a,
     "sign": _direction,
+    "pow": power,
     "copysign": lambda a, b: apply("fabs", a) * _direction(b),
     "fmin": lambda a, b: (a + b - apply("fabs", a - b)) / 2,
     "fmax": lambda a, b: (a + b + apply("fabs", a - b)) / 2,
@@ -89,8 +104,6 @@ def apply(name: str, *values: Any) -> Any:
     """The operation ``name`` of a formula. Raises NotCheckable for one that has no meaning here."""
     if name in _OPERATIONS:
         return _OPERATIONS[name](*values)
-    if name == "pow":
-        return power(*values)
     require(name in _FUNCTIONS, f"the operation {name} has no exact meaning", NotCheckable)
     (a,) = values
     if isinstance(a, Value):
@@ -143,20 +156,6 @@ def never_negative(kind: str, a: Any, b: Any, alone: bool) -> Any:
     return (value - apply(kind, b)) * (a - b)
 
 
-def power(a: Any, b: Any) -> Any:
-    """``a**b``: by products and a square root if 2b is an integer, else ``exp(b log(a))``."""
-    b = b.value if isinstance(b, Dual) and not b.slope else b
-    exponent = b.number() if isinstance(b, Function) else b
-    if not isinstance(exponent, fmpq):
-        return apply("exp", apply("log", a) * b)
-    if exponent.q > 2:  # with a fraction below one, so that a**2.7 is a a**1.7
-        whole = fmpq(int(exponent.p) // int(exponent.q))
-        return power(a, whole) * apply("exp", apply("log", a) * (exponent - whole))
-    base = a if exponent.q == 1 else apply("sqrt", a)
-    result = prod([base] * abs(int(exponent.p)), start=fmpq(1))
-    return 1 / result if exponent < 0 else result
-
-
 def sign(value: Any) -> int | None:
     """-1, 0 or 1 when the sign of a number is certain, else None."""
     if value > 0 or value < 0:
@@ -167,9 +166,7 @@ def sign(value: Any) -> int | None:
 class Value:
     """The operators that follow from sum, product, negation and inverse."""
 
-    def function(self, name: str) -> Any:
-        """The function ``name`` of this value."""
-        raise NotImplementedError
+    function: Callable[[str], Any]
 
     def __radd__(self: Any, other: Any) -> Any:
         return self + other
