@@ -34,7 +34,19 @@ from pbcgen.passivity.plant import Point
 from pbcgen.passivity.shaping import extended_hessian, shape_at
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
-from pbcgen.symbolic.real import BITS, Real, approximate, fraction, lower, midpoint, precision, rational, sign, upper
+from pbcgen.symbolic.real import (
+    BITS,
+    Real,
+    approximate,
+    fraction,
+    is_finite,
+    lower,
+    midpoint,
+    precision,
+    rational,
+    sign,
+    upper,
+)
 from pbcgen.symbolic.real_matrices import Rows, diagonal, exact_matrix
 from pbcgen.symbolic.tape import Tape
 from pbcgen.verify.files import FORMAT, digest
@@ -117,7 +129,7 @@ def _readings(derivation: Derivation) -> Writing:
         places = {}
         for k, signal in enumerate(ca.vertsplit(ca.vec(ca.densify(signals)))):
             reading = measurement.read(signal, name)
-            if isinstance(reading, Unreadable):
+            if isinstance(reading, Unreadable) or not all(is_finite(v) for _, v in measurement.constants):
                 return Writing()
             places[k, 0] = _place(writing, measurement, reading)
         writing.output(name, (len(places), 1), places)

@@ -50,7 +50,7 @@ from pbcgen.passivity.target_map import TargetMap, target_map
 from pbcgen.passivity.theta import ThetaVerdict, theta
 from pbcgen.proof.claim import CLAIMS, NOT_REACHED, Claim, Status
 from pbcgen.symbolic.display import formula
-from pbcgen.symbolic.real import approximate
+from pbcgen.symbolic.real import approximate, is_finite
 
 Progress = Callable[[str], None] | None
 
@@ -311,7 +311,15 @@ class _AtTarget:
         }
         if self.output is None:
             return numbers
-        (gamma_star,) = self.plant.at(self.point, self.output.gamma)
+        gamma_star, eta_star = self.plant.at(
+            self.point, self.output.gamma, ca.SX(0, 1) if self.eta is None else self.eta
+        )
+        if not all(is_finite(row[0]) for row in (*gamma_star, *eta_star)):
+            self.obstacle = (
+                "gamma or eta has no value at x*, or jumps there",
+                "give functions that are smooth at x*, or choose another target",
+            )
+            return numbers
         numbers["gamma_star"] = [approximate(row[0]) for row in gamma_star]
         numbers |= self._shape(stages)
         limits = saturation(self.plant, self.design, self.law, self.point)

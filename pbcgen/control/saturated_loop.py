@@ -142,7 +142,10 @@ class _Numbers:
 
 
 def saturated_loop(found: Derivation) -> SaturatedLoop | None:
-    """The loop in (x, zeta, t); None where the derivation stopped before the law, and for `passive-output`."""
+    """The loop in (x, zeta, t).
+
+    None where the derivation stopped before the law, for `passive-output`, and where a function may jump.
+    """
     law = found.law
     base = base_law(law)
     if found.point is None or found.graph is None or found.gamma is None:
@@ -150,6 +153,11 @@ def saturated_loop(found: Derivation) -> SaturatedLoop | None:
     if law is None or isinstance(base, PassiveOutput):
         return None
     plant, point, system = found.plant, found.point, found.plant.system
+    parts = [system.f, system.g, found.gamma, *([] if found.eta is None else [found.eta])]
+    if system.mechanical is not None:
+        parts += [system.mechanical.M, system.mechanical.V]
+    if plant.jumps(*parts):
+        return None
     numbers = _Numbers([], [])
     m = system.m
     term = shaping(law)

@@ -88,11 +88,13 @@ class SectorLoop:
 
         Raises UnsupportedOperation, ZeroDivisionError for functions that are none of exact arithmetic.
         """
-        base, leaks = situation.base, _leaks(situation.law)
+        base, leaks, mechanics = situation.base, _leaks(situation.law), situation.plant.system.mechanical
         if leaks is None or not isinstance(base, DynamicExtension | NaturalDamping):
             return None
         if situation.found["equilibrium"].status is not Status.PROVED:
             return None
+        if mechanics is not None and situation.plant.jumps(mechanics.M, mechanics.V, mechanics.D, mechanics.G):
+            return None  # f has lost the jumps of M and V
         drift = _Drift.of(situation)
         N = _constant_slope(situation.plant, situation.gamma)
         E = [] if isinstance(base, DynamicExtension) else _constant_slope(situation.plant, situation.eta)
@@ -246,7 +248,7 @@ class _Inner:
 
 def _constant_slope(plant: Plant, function: ca.SX | None) -> list[list[fmpq]] | None:
     """The Jacobian of an affine function, or None."""
-    if function is None:
+    if function is None or not plant.tape(function).is_entire():
         return None
     field, (slope,) = plant.exact(ca.jacobian(function, plant.system.x))
     rows = [[entry.constant() for entry in row] for row in slope.dense(field.const(0))]

@@ -86,6 +86,10 @@ def assumption_3(
         region: where a state without damping counts; the whole space if not given.
     """
     where = region or Region.whole(plant)
+    jump = "" if plant.system.eta is None else plant.jumps(plant.system.eta)
+    if jump:
+        why = f"the given eta may jump by `{jump}`, and has no derivative there"
+        return NaturalDampingBounds(_given(plant), (), None, None, _undecided(why))
     bounds = _bounds(plant, structure, gamma, matched, storage_proved)
     if structure is not None and storage_proved and bounds.claim.status is not Status.PROVED:
         bounds = _varying_bounds(plant, structure, gamma, where) or bounds

@@ -264,8 +264,9 @@ def find(
     if impossible is None and storage_proved and point is not None:
         impossible = _contradicted(negative_response(plant, point))
     if unproved:
-        claim = impossible or _refuted_gamma(plant, unproved[0], where) or _unproved(unproved[0], storage_proved, where)
-        return PassiveOutput(unproved[0].gamma, unproved[0].strategy, claim, False)
+        first, jump = unproved[0], plant.jumps(unproved[0].gamma)
+        claim = impossible or _refuted_gamma(plant, first, where) or _unproved(first, storage_proved, where, jump)
+        return PassiveOutput(first.gamma, first.strategy, claim, False)
     return impossible or _none(plant, tried, obstacles, _forced(plant, point))
 
 
@@ -450,15 +451,16 @@ def _refuted_gamma(plant: Plant, candidate: _Candidate, region: Region) -> Claim
     )
 
 
-def _unproved(candidate: _Candidate, storage_proved: bool, region: Region) -> Claim:
+def _unproved(candidate: _Candidate, storage_proved: bool, region: Region, jump: str) -> Claim:
     why = "Z(x) >= 0 was not proved" if storage_proved else "assumption-1 is not proved, and it is part of Z(x) >= 0"
+    why = f"gamma may jump by `{jump}`, and has no derivative there" if jump else why
     return Claim(
         "passive-output",
         Status.UNDECIDED,
         region.text,
         "exact algebra" + squares_tried(),
         f"candidate gamma: {candidate.strategy}; {why}",
-        _hint(candidate, storage_proved),
+        "give a gamma that has a derivative everywhere" if jump else _hint(candidate, storage_proved),
     )
 
 

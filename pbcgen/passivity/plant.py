@@ -161,8 +161,14 @@ class Plant:
         """Whether derivatives of this system may be read with sign(a) as |a| / a, and there is one."""
         return tape.uses("sign") and self.is_continuous
 
+    def jumps(self, *expressions: ca.SX) -> str:
+        """An operation in functions of the state by which they may jump, or the empty text."""
+        return Tape.of(self.symbols, expressions).jumps()
+
     def is_differentiable(self, expression: ca.SX) -> bool:
-        """Whether moduli leave a column of functions of the state a continuous derivative."""
+        """Whether a column of functions of the state has no jumps, and moduli leave it a continuous derivative."""
+        if self.jumps(expression):
+            return False
         if not Tape.of(self.symbols, [expression]).uses("fabs"):
             return True
         return self._is_continued(ca.vec(ca.densify(ca.jacobian(expression, self.system.x))))

@@ -86,6 +86,12 @@ _ENTIRE = frozenset(
     | {"sinh", "cosh", "exp", "expm1", "tanh", "atan", "asinh", "erf"}
 )
 
+#: Operations whose values may jump; CasADi's derivatives do not show it.
+_JUMPING = frozenset(
+    {"floor", "ceil", "fmod", "remainder", "sign", "copysign", "atan2"}
+    | {"lt", "le", "eq", "ne", "not_", "and_", "or_", "if_else_zero"}
+)
+
 _NAME_OF_CODE = {getattr(ca, name): name for name in dir(ca) if name.startswith("OP_")}
 
 
@@ -263,6 +269,11 @@ class Tape:
     def is_entire(self) -> bool:
         """Whether nothing occurs but what is defined and smooth for all arguments: no quotients, roots or switches."""
         return all(i.name in _ENTIRE or self._by_number(i) for i in self.instructions if isinstance(i, Operation))
+
+    def jumps(self) -> str:
+        """The first operation that occurs whose value may jump, or the empty text."""
+        names = (i.name for i in self.instructions if isinstance(i, Operation))
+        return next((name.rstrip("_") for name in names if name in _JUMPING), "")
 
     def _by_number(self, operation: Operation) -> bool:
         """Whether this is a division by a number."""

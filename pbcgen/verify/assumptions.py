@@ -124,9 +124,9 @@ class Assumptions(Overall):
         """``grad S + grad gamma kappa = 0`` at x*: exactly, or because ``f + g u = 0`` leaves nothing else."""
         if all(sign(v) == 0 for v in self.shaped[0]):
             return
+        drift_first = self.witness["gradient-condition"]["form"] == "F"
         f, g, M, rho = map(self.functions, ("f", "g", "matrix", "remainder"))
         e, psi = transpose(self.slope("S")), transpose(self.slope("gamma"))
-        drift_first = self.witness["gradient-condition"]["form"] == "F"
         left, right, out, into = (f, e, g, psi) if drift_first else (e, f, psi, g)
         self.zero([row[0] for row in plus(plus(left, product(M, right), -1), rho)], "there is no such power structure")
         self.zero([v for row in plus(out, product(M, into)) for v in row], "grad gamma does not follow from it")
