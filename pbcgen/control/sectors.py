@@ -248,9 +248,14 @@ class _Inner:
 
 def _constant_slope(plant: Plant, function: ca.SX | None) -> list[list[fmpq]] | None:
     """The Jacobian of an affine function, or None."""
-    if function is None or not plant.tape(function).is_entire():
+    if function is None:
         return None
-    field, (slope,) = plant.exact(ca.jacobian(function, plant.system.x))
+    field, (values, slope) = plant.exact(function, ca.jacobian(function, plant.system.x))
+    if not all(v.is_polynomial() for row in values.dense(field.const(0)) for v in row):
+        return None
+    inner = [*(atom.argument for atom in field.atoms.values()), *field.divisors.values()]
+    if any(k < plant.system.n for part in inner for k in part.symbols()):
+        return None
     rows = [[entry.constant() for entry in row] for row in slope.dense(field.const(0))]
     exact = [[v for v in row if v is not None] for row in rows]
     return exact if all(len(a) == len(b) for a, b in zip(rows, exact, strict=True)) else None
