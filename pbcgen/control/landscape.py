@@ -192,22 +192,25 @@ class Landscape:
             total += float(slopes @ log_cosh(arguments))
         return total
 
-    def can_rest(self, x: Sequence[Real]) -> bool:
-        """Whether an equilibrium of the closed loop in the box is not excluded."""
+    def rest_equations(self, x: Sequence[Real]) -> list[arb]:
+        """``f + g (u* - force)`` on the box; for a mechanical system the rates of the momenta, at rest."""
         drift, g, gamma = self.situation.plant.walk(self.rest_tape, x, self.u)
         forces = self.envelope.forces(self._deviation(gamma))
-        for i, row in enumerate(drift):
-            total = ball(row[0])
+        rates = []
+        for i in self.momenta or range(len(drift)):
+            total = ball(drift[i][0])
             for j, force in enumerate(forces):
                 total = total - ball(g[i][j]) * force
-            if not total.is_finite() or total.contains(0):
-                continue
-            return False
-        return True
+            rates.append(total)
+        return rates
+
+    def can_rest(self, x: Sequence[Real]) -> bool:
+        """Whether an equilibrium of the closed loop in the box is not excluded."""
+        return all(not rate.is_finite() or rate.contains(0) for rate in self.rest_equations(x))
 
     def regular(self, x: Sequence[Real], centre: NDArray[np.float64]) -> bool:
         """Whether the Jacobian of the rest equations is regular for every selection from the box: one zero at most."""
-        matrix = self._slopes(x)
+        matrix = self.slopes(x)
         if matrix is None:
             return False
         n = len(centre)
@@ -225,7 +228,8 @@ class Landscape:
             for i in range(n)
         )
 
-    def _slopes(self, x: Sequence[Real]) -> arb_mat | None:
+    def slopes(self, x: Sequence[Real]) -> arb_mat | None:
+        """The Jacobian of the rest equations on the box, in the states that move; None where it is not finite."""
         drift, slope, g, gamma = self.situation.plant.walk(self.slope_tape, x, self.u)
         stiff = self.envelope.stiffness(self._deviation(gamma))
         pull = multiply(multiply(g, [list(row) for row in stiff]), slope)
@@ -238,7 +242,7 @@ class Landscape:
 
     def centre_slope(self) -> NDArray[np.float64] | None:
         """The Jacobian of the rest equations at x*, in double precision."""
-        matrix = self._slopes([ball(v) for v in self.situation.point.x])
+        matrix = self.slopes([ball(v) for v in self.situation.point.x])
         if matrix is None:
             return None
         n = matrix.nrows()

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from pbcgen.control.rest_search import hidden_rests
 from pbcgen.control.situation import Situation
 from pbcgen.models.gains import Vector
 from pbcgen.models.laws import Integral
@@ -94,6 +95,10 @@ def other_rest(situation: Situation) -> list[Real] | None:
         yield around(spread, 1.0, _STARTS, _with_gamma_kept(situation, star, free))
         if not 1e-3 < np.max((wide / spread)[:free]) < 10:  # the starts around x* are of sizes between
             yield around(wide, 100.0, _FAR)
+        far = 10 * np.maximum(wide, spread)[:free]
+        hidden = [np.concatenate([x[:free], star[free:]]) for x in hidden_rests(situation, far)]
+        everywhere = np.full(len(star), np.inf)
+        yield Search(-everywhere, everywhere, tuple(chain.from_iterable((z, settled(z)) for z in hidden)), 0)
 
     tape = Tape.of([*plant.symbols, at_star, psi], [residual, jacobian])
     parameters: list[Real] = [rational(v) for v in plant.parameter_values]

@@ -5,7 +5,7 @@
 
     |Gamma_i - Gamma_i*| <= atanh(r / alpha_i) / beta_i   where |U_i - u_i*| <= r < alpha_i.
 
-A function that is a polynomial in one coordinate plus bounded terms then bounds that coordinate (Cauchy's bound).
+A function that is a polynomial in one coordinate with bounded coefficients then bounds it (Cauchy's bound).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pbcgen.proof.alone import only_zero
 from pbcgen.proof.boxes import Box
 from pbcgen.proof.extrema import term_bounds
 from pbcgen.symbolic.field import Quotient
-from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, fraction, lower, precision, rational, upper
+from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, lower, precision, rational, upper
 from pbcgen.symbolic.tape import Tape
 
 #: More coordinates are not searched.
@@ -46,6 +46,7 @@ def only_in_a_box(situation: Situation, along: RestSet) -> str | None:
     size = len(along.z)
     if not size or size != along.inputs.numel() + along.zero.numel() or size > _MOST:
         return None
+    along = along.shorter(situation.plant)
     with precision(BITS):
         star = _Star(situation, along)
         box = _box(situation, along, star)
@@ -128,32 +129,30 @@ def _through_tanh(
 def _bounded_by(function: Quotient, centre: Real, reach: Fraction, ends: Ends) -> tuple[int, Fraction] | None:
     """A coordinate and a bound of its magnitude where ``|function - centre| <= reach``, or None.
 
-    With ``function = sum a_j z^j + bounded`` and degree d this is ``1 + max |a_j / a_d|``, the constant being what the
-    bounded terms, the centre and the reach may make of it (Cauchy).
+    With ``function = sum a_j z^j`` of degree d, the a_j bounded and a_d away from zero, it is ``1 + max |a_j / a_d|``,
+    a_0 being what its terms, the centre and the reach may make of it (Cauchy).
     """
-    field = function.field
-    if not function.is_polynomial():
+    field, coordinate = function.field, _single(function, ends)
+    if coordinate is None or not function.is_polynomial():
         return None
-    powers: dict[int, fmpq] = {}
-    bounded, coordinate = Fraction(0), None
-    single = _single(function, ends)
+    powers: dict[int, dict[tuple[int, ...], fmpq]] = {}
     for exponents, c in function.numerator.to_dict().items():
-        used = [k for k, e in enumerate(exponents) if e]
-        if len(used) == 1 and used[0] == single:
-            coordinate = single
-            powers[int(exponents[single])] = c
-            continue
-        bounds = term_bounds(field.polynomial(field.context.from_dict({exponents: c})), _intervals(ends))
+        others = tuple(0 if k == coordinate else int(e) for k, e in enumerate(exponents))
+        powers.setdefault(int(exponents[coordinate]), {})[others] = c
+    sizes: dict[int, Fraction] = {0: Fraction(0)}
+    leading = Fraction(0)
+    for power, terms in sorted(powers.items()):
+        bounds = term_bounds(field.polynomial(field.context.from_dict(terms)), _intervals(ends))
         if bounds.lo is None or bounds.hi is None:
             return None
-        bounded += max(abs(bounds.lo), abs(bounds.hi))
-    if coordinate is None:
+        sizes[power] = max(abs(bounds.lo), abs(bounds.hi))
+        leading = max(bounds.lo, -bounds.hi)
+    degree = max(sizes)
+    if degree == 0 or leading <= 0:
         return None
-    degree = max(powers)
-    constant = bounded + max(abs(upper(centre)), abs(lower(centre))) + reach
-    others = [abs(fraction(c)) for j, c in powers.items() if j != degree]
-    leading = abs(fraction(powers[degree]))
-    return coordinate, constant / leading if degree == 1 else 1 + max([constant, *others]) / leading
+    sizes[0] += max(abs(upper(centre)), abs(lower(centre))) + reach
+    largest = max(size for power, size in sizes.items() if power < degree) / leading
+    return coordinate, largest if degree == 1 else 1 + largest
 
 
 def _single(function: Quotient, ends: Ends) -> int | None:

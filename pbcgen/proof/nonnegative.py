@@ -26,6 +26,8 @@ from pbcgen.symbolic.real import ZERO
 #: How often a polynomial is taken apart, and the sizes beyond which it is not.
 _DEPTH = 3
 _MOST_TERMS = 300
+#: Shares of a positive term without which the rest is to be nonnegative, a small one for small least values.
+_STRICT = (fmpq(1, 2), fmpq(1, 10**9))
 _MOST_BOUNDED = 6
 _MOST_PRODUCTS = 8
 #: How many pairs of a negative term and a square are looked at for a quadratic form.
@@ -123,8 +125,8 @@ def _strictly(field: Field, polynomial: fmpq_mpoly, known: Known) -> bool:
     for form in trigonometric_forms(field, polynomial):
         for exponents, coefficient in form.to_dict().items():
             if coefficient > 0 and _strict_term(field, exponents, known):
-                rest = form - field.context.from_dict({exponents: coefficient / 2})
-                if _certain(field, rest, known):
+                rests = (form - field.context.from_dict({exponents: coefficient * share}) for share in _STRICT)
+                if any(_certain(field, rest, known) for rest in rests):
                     return True
     vertices = _vertices(field, polynomial, known)
     if vertices is not None and all(_strictly(field, vertex, known) for vertex in vertices):

@@ -101,3 +101,38 @@ def test_an_integral_term_rests_elsewhere_where_it_leaks(alpha, alpha_psi, leak,
         centre[k] = f"{float(rational(centre[k])) + 0.01:.12g}"
         forged["digest"] = digest(forged)
         assert {f.claim: f.outcome for f in examine(forged)}[claim.claim] == "fails"
+
+
+def _well(V, alpha=1):
+    q, p = ca.SX.sym("q"), ca.SX.sym("p")
+    return Design(
+        Mechanical([q], [p], M=[1], V=V(q), D=[1], G=[1]),
+        {"q": 0},
+        DynamicExtension(alpha, 1, 1, 1),
+        sample_period="1e-2",
+    )
+
+
+@pytest.mark.parametrize(
+    "V",
+    [
+        lambda q: q**2 / 2 - 40 * ca.exp(-200 * (q - 20) ** 2),
+        lambda q: q**2 / 2 - 400 / (1 + 400 * (q + 13) ** 2),
+        lambda q: q**2 - 9000 / (9 + 5000 * (q - 57) ** 2),
+        lambda q: q**4 / 4 - 90 * ca.exp(-2000 * (q - 3) ** 2),
+    ],
+)
+def test_a_narrow_well_far_away_is_found(V):
+    claims = {c.claim: c for c in derive(_well(V)).claims}
+    claim = claims["globally-asymptotically-stable"]
+    assert claim.status == "REFUTED"
+    assert abs(float(claim.counterexample["x"]["q"])) > 2
+
+
+def test_wells_too_shallow_to_rest_in_do_not_refute():
+    def dent(q):
+        return q**2 / 2 - ca.exp(-4 * (q - 9) ** 2)
+
+    assert (
+        next(c for c in derive(_well(dent)).claims if c.claim == "globally-asymptotically-stable").status != "REFUTED"
+    )

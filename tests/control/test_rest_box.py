@@ -132,3 +132,22 @@ def test_a_function_that_is_known_to_a_reach_bounds_its_coordinate(make, bounded
             for side in (-1, 1):
                 for other in np.linspace(-9, 9, 7):
                     assert abs(float(numeric([side * away * float(end), other])) - 0.5) >= 3 - 1e-9
+
+
+def _cubic_joint(weight, beta=2):
+    """A link that hangs (or stands, for a negative weight) on a spring that stiffens; the motor turns its other end."""
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+    r = q[0] - q[1]
+    V = -weight * ca.cos(q[0]) + 5 * r**2 + r**4
+    system = Mechanical(q, p, M=[1, 1], V=V, D=[1, 1], G=[[0], [1]])
+    return _global(system, {"q_0": "0.5"}, DynamicExtension(5, beta, 5, 1), near={"q_1": "0.5"})
+
+
+def test_a_spring_that_stiffens_bounds_a_link_by_its_motor():
+    assert _cubic_joint(-2).status == "PROVED"
+    assert _cubic_joint(2).status == "PROVED"
+
+
+@pytest.mark.parametrize(("weight", "beta"), [(2, "0.2"), (5, 2), (-5, 2)])
+def test_a_soft_law_or_a_heavy_link_has_other_rests_beside_it(weight, beta):
+    assert _cubic_joint(weight, beta).status != "PROVED"
