@@ -37,6 +37,36 @@ def test_an_upper_end_and_another_place_serve_too():
 
 
 @pytest.mark.parametrize(
+    ("V", "domain"),
+    [
+        (lambda q: -ca.log(q) - ca.log(1 - q), (0, 1)),
+        (lambda q: 1 / q + 1 / (1 - q), (0, 1)),
+        (lambda q: 1 / (q - 0.2) + 2 / (1.7 - q), ("0.2", "1.7")),
+    ],
+)
+def test_two_stops_that_store_more_and_more_are_never_reached(V, domain):
+    text = f"q in ({domain[0]}, {domain[1]})"
+    assert _verdict(_piston(V, domain), {"q": "0.6"}) == ("PROVED", text)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"V": lambda q: (q - 0.5) ** 2},  # nothing stops it
+        {"V": lambda q: 1 / q + q},  # one stop is open
+        {"V": lambda q: q * ca.log(q) + (1 - q) * ca.log(1 - q)},  # stops of finite height
+        {"V": lambda q: -ca.log(q) + ca.log(1 - q)},  # one that pulls
+        {"V": lambda q: 1 / q + 1 / (1 - q), "domain": (0, 2)},  # undefined inside
+        {"V": lambda q: 1 / q + 1 / (1 - q), "damping": -1},
+        {"V": lambda q: 1 / q + 1 / (1 - q) - 60 * ca.exp(-200 * (q - 0.3) ** 2)},  # a second rest
+    ],
+)
+def test_between_two_stops_what_is_not_kept_is_not_proved(broken):
+    arguments = {"domain": (0, 1), "damping": 1, **broken}
+    assert _verdict(_piston(**arguments), {"q": "0.6"})[0] != "PROVED"
+
+
+@pytest.mark.parametrize(
     "broken",
     [
         {"V": lambda q: q**2 / 2},  # nothing keeps q from zero
