@@ -10,16 +10,22 @@ Under potential compensation u = grad V + ubar, and kappa is zero in this relati
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from fractions import Fraction
+
+import casadi as ca
 from flint import fmpq
 
 from pbcgen.control.leaves import conserved, written
 from pbcgen.control.situation import Situation
+from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.laws import DynamicExtension, PassiveOutput
 from pbcgen.passivity.lasalle import InvariantSet
 from pbcgen.passivity.structure import PowerStructure
+from pbcgen.passivity.undamped import Plane
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.symbolic.linear import Row, reduce_rows
-from pbcgen.symbolic.real import BITS, REAL, precision, reals, sign
+from pbcgen.symbolic.linear import Row, kernel, reduce_rows
+from pbcgen.symbolic.real import BITS, REAL, fraction, precision, reals, sign
 from pbcgen.symbolic.real_matrices import as_balls
 
 
@@ -139,3 +145,66 @@ def _undamped(situation: Situation) -> Claim | None:
         "add damping to this motion, or an output that sees it",
         {"relations": list(found.steps), "free": [names[k] for k in found.free]},
     )
+
+
+def drift(situation: Situation) -> Claim | None:
+    """`stable` REFUTED by a motion through x* that nothing stops, or None.
+
+    In a plane in which the plant moves by itself and the controller sees nothing, let ``z' = B z`` exactly, z being the
+    deviations of the free states. Where ``B^2 w = 0`` and ``B w != 0``, ``z(t) = s (w + t B w)`` is a motion of the
+    loop for every s: it starts as near to x* as one likes and leaves every bounded set. So move two masses that only a
+    spring joins, with a common speed.
+    """
+    plane = situation.undamped_plane if situation.found["equilibrium"].status is Status.PROVED else None
+    B = None if plane is None else _rates_in(situation, plane)
+    if plane is None or B is None:
+        return None
+    twice = [[sum((a * b[j] for a, b in zip(row, B, strict=True)), fmpq(0)) for j in range(len(B))] for row in B]
+    rank, of_twice = (len(reduce_rows([dict(enumerate(row)) for row in M])) for M in (B, twice))
+    if of_twice == rank:
+        return None
+    still = kernel([dict(enumerate(row)) for row in twice], len(B), fmpq(0), fmpq(1))
+    w = next(w for w in still if any(_times(B, w)))
+    start, speed = (_named(situation, plane, z) for z in (w, _times(B, w)))
+    shown = ", ".join(f"d{name} = {v} s" for name, v in start.items())
+    moved = ", ".join(f"{name}' = {v} s" for name, v in speed.items())
+    return Claim(
+        "stable",
+        Status.REFUTED,
+        "near x*",
+        "a motion in an invariant plane at u = u*, by exact identities",
+        f"from {shown} for any s the loop moves on and on with {moved}, and gamma = gamma*",
+        "measure what drifts, or describe the plant by coordinates that do not change with it",
+        {"start": start, "rate": speed},
+    )
+
+
+def _named(situation: Situation, plane: Plane, z: Sequence[fmpq]) -> dict[str, str]:
+    """The direction of the plane with these entries of the free states, by the names of all states that it moves."""
+    own = {f: fraction(v) for f, v in zip(plane.free, z, strict=True)}
+    own |= {p: sum((c * own[f] for f, c in row.items()), Fraction(0)) for p, row in plane.rows.items()}
+    return {name: str(own[k]) for k, name in enumerate(situation.plant.system.state_names) if own[k]}
+
+
+def _times(B: Sequence[Sequence[fmpq]], w: Sequence[fmpq]) -> list[fmpq]:
+    return [sum((a * b for a, b in zip(row, w, strict=True)), fmpq(0)) for row in B]
+
+
+def _rates_in(situation: Situation, plane: Plane) -> list[list[fmpq]] | None:
+    """B with ``z' = B z`` in the plane for the deviations z of its free states; None where the rates are not so."""
+    plant, system = situation.plant, situation.plant.system
+    if not all(isinstance(v, fmpq) for v in (*situation.point.x, *situation.point.u)):
+        return None
+    held = ca.vertcat(*[plant.number(fraction(v), alone=True) for v in situation.point.u])
+    solved = plane.solved(plant, situation.point.x)
+    rates = ca.substitute(system.xdot, system.u, held if situation.compensation is None else situation.compensation)
+    rates = rates[list(plane.free)]
+    if solved:
+        rates = ca.substitute(rates, ca.vertcat(*[system.x[p] for p in solved]), ca.vertcat(*solved.values()))
+    try:
+        field, (slopes,) = plant.exact(ca.jacobian(rates, system.x[list(plane.free)]))
+    except (UnsupportedOperation, ZeroDivisionError):
+        return None
+    rows = [[entry.constant() for entry in row] for row in slopes.dense(field.const(0))]
+    exact = [[v for v in row if v is not None] for row in rows]
+    return exact if all(len(row) == len(exact) for row in exact) else None

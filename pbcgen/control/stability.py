@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from pbcgen.control.absolute import METHOD as ABSOLUTE
-from pbcgen.control.attractivity import beyond_linearisation, locally_by_storage
+from pbcgen.control.attractivity import beyond_linearisation, drift, locally_by_storage
 from pbcgen.control.global_attraction import by_storage, globally
 from pbcgen.control.leaves import stable_on_leaves
 from pbcgen.control.sampled import Sampling, decide
@@ -110,9 +110,9 @@ def _stable(continuous: Stability, missing: Sequence[str], situation: Situation)
         return Claim("stable", Status.PROVED, "near x*", method, evidence, certificate=_certificate(continuous))
     if continuous.status is Status.REFUTED:
         return _unstable("stable", continuous, situation)
-    on_leaves = stable_on_leaves(situation, missing)
-    if on_leaves is not None:
-        return on_leaves
+    decided = stable_on_leaves(situation, missing) or drift(situation)
+    if decided is not None:
+        return decided
     return Claim(
         "stable",
         Status.UNDECIDED,
