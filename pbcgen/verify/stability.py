@@ -15,7 +15,7 @@ from pbcgen.symbolic.plain.boxes import Box, ball, covered, shown
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.formulas import combination, rational
 from pbcgen.symbolic.plain.matrices import Matrix, diagonal, dot, is_definite, plus, product, transpose
-from pbcgen.symbolic.plain.outcomes import NotCheckable, require
+from pbcgen.symbolic.plain.outcomes import Fails, NotCheckable, require
 from pbcgen.symbolic.plain.spectra import definite_about, stable
 from pbcgen.symbolic.plain.values import Dual, partial, sign
 from pbcgen.verify.assumptions import Assumptions
@@ -77,8 +77,8 @@ class Stability(Assumptions):
             self.lyapunov()
 
     def refuted_stable(self) -> None:
-        """The linearisation has an eigenvalue with a positive real part."""
-        require(self.is_hurwitz is False, "no eigenvalue certainly has a positive real part")
+        """The linearisation has an eigenvalue with a positive real part; one on the axis is not looked into."""
+        require(self.is_hurwitz is False, "no eigenvalue certainly grows", Fails if self.is_hurwitz else NotCheckable)
 
     def proved_asymptotically_stable(self) -> None:
         """The linearisation is Hurwitz, or LaSalle's set consists of equilibria and x* is an isolated one."""
