@@ -53,6 +53,8 @@ METHOD = "absolute stability: sectors of the saturations and the S-procedure, de
 #: Loops of more states, and of more states and functions, are not tried.
 _MOST, _LARGEST = 9, 16
 _ROUNDS = 200
+#: Shares of their slopes at zero that saturations may act like.
+_SHARES = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
 _DENOMINATORS = (10**3, 10**5, 10**8)
 
 _Matrix: TypeAlias = list[list[fmpq]]
@@ -77,6 +79,32 @@ def absolutely_stable(situation: Situation) -> tuple[str, dict[str, Any]] | None
     why = f"V = {' and '.join(terms)}: V' < 0 but at x*, whatever is in the sectors a_i <= phi_i / z_i <= b_i"
     simple = isinstance(situation.base, DynamicExtension) and len(loop.sectors) == system.m and not _unseen(loop)
     return why, found.written() if simple else {}
+
+
+def far_oscillation(situation: Situation) -> str:
+    """Numeric evidence that large motions may not decay, in words; empty where there is none.
+
+    In a large motion a saturation acts like a share of its slope at zero (a describing function). A linear loop with
+    such slopes that grows and turns suggests a limit cycle around x*.
+    """
+    if situation.compensation is not None or situation.order > _MOST + 1:
+        return ""
+    try:
+        loop = SectorLoop.of(situation)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return ""
+    if loop is None:
+        return ""
+    for share in _SHARES:
+        A = _linear(loop, share)
+        values = np.linalg.eigvals(A)
+        worst = values[np.argmax(values.real)]
+        if worst.real > 1e-10 * np.linalg.norm(A) and abs(worst.imag) > worst.real:
+            return (
+                f"where saturations act like {share:g} of their slope, as in large motions, the linear loop grows at "
+                f"{worst.real:.3g} 1/s and turns at {abs(worst.imag):.3g} rad/s: a limit cycle is likely"
+            )
+    return ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+import pbcgen
 from pbcgen import AffineSystem, Design, DynamicExtension, NaturalDamping, Parameters
-from pbcgen.control.absolute import METHOD, absolutely_stable
+from pbcgen.control.absolute import METHOD, absolutely_stable, far_oscillation
 from pbcgen.control.derive import derive
 from pbcgen.models.laws import NaturalDamping as Natural
 from pbcgen.proof.claim import Status
@@ -118,3 +119,17 @@ REFUSED = {
 def test_what_sectors_do_not_show_is_refused(name):
     found = derive(REFUSED[name])
     assert found.situation is None or absolutely_stable(found.situation) is None
+
+
+def test_a_limit_cycle_far_away_is_suspected_where_saturations_give_less():
+    """Simulated from 0.3 m away, the device oscillates for ever at 0.18 m; only near x* does it settle."""
+    found = derive(pbcgen.load("coupling_device"))
+    claim = next(c for c in found.claims if c.claim == "globally-asymptotically-stable")
+    assert claim.status is Status.UNDECIDED
+    assert "a limit cycle is likely" in claim.evidence
+    assert "simulate" in claim.hint
+
+
+@pytest.mark.parametrize("name", PROVED)
+def test_none_is_suspected_where_it_is_proved(name):
+    assert not far_oscillation(derive(PROVED[name]).situation)
