@@ -123,8 +123,9 @@ class System:
         return [v for (v,) in self.functions(name)]
 
     def slope(self, name: str) -> Matrix:
-        """The exact Jacobian of a column, rows over the state."""
+        """The exact Jacobian of a column that does not jump, rows over the state."""
         found = [[self.field.lift(partial(v, k)) for k in range(self.n)] for (v,) in self.exact[name]]
+        self.functions(name)
         rows = [self.field.continued(row) for row in found]
         return [self._by_momenta(row) for row in rows] if self.inertia else rows
 

@@ -117,3 +117,23 @@ def test_a_storage_with_a_kink_shows_nothing():
     for document in (_document(design), _document(_design(lambda v: v))):
         found = outcomes(forged(document, design))
         assert "checked" not in {found["assumption-1"], found["passive-output"], found[GLOBAL]}
+
+
+def test_a_storage_that_jumps_shows_nothing():
+    """The derivative of sign(x - 1) is zero beside its jump, as if there were none."""
+    smooth = _document(_design(lambda v: v))
+    found = outcomes(forged(smooth, _design(lambda v: v, energy=lambda x: x**2 / 2 - 2 * ca.sign(x - 1) / 5)))
+    assert "checked" not in {found["assumption-1"], found["passive-output"], found[GLOBAL]}
+
+
+def test_a_gamma_that_jumps_shows_nothing():
+    x, u = ca.SX.sym("x"), ca.SX.sym("u")
+
+    def design(gamma):
+        system = AffineSystem([x], [u], [-x], [1], x**2 / 2, gamma=[gamma])
+        return Design(system, {"x": 0}, DynamicExtension(2, 1, 1, 1), sample_period="1e-2", name="step")
+
+    smooth = _document(design(x))
+    assert outcomes(smooth)["passive-output"] == "checked"
+    found = outcomes(forged(smooth, design(x + ca.sign(x - 1) / 2)))
+    assert "checked" not in {found["passive-output"], found["measurability"], found[GLOBAL]}

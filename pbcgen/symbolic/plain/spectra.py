@@ -47,10 +47,10 @@ def krawczyk(function: Map, centre: Sequence[fmpq], radius: fmpq) -> list[arb] |
 
     ``m - Y F(m) + (I - Y F'(box)) (box - m)`` must lie in the interior of the box (Krawczyk 1969).
     """
-    half = [[arb(0, arb(radius * (1 + abs(c))))] for c in centre]
-    box = [c + h[0] for c, h in zip(centre, half, strict=True)]
+    box = [c + arb(0, arb(radius * (1 + abs(c)))) for c in centre]
     Y, defect = preconditioned(function, centre, box)
-    image = plus(product(defect, half), product(Y, [[v] for v in function(centre)]), -1)
+    offsets = [[b - c] for b, c in zip(box, centre, strict=True)]
+    image = plus(product(defect, offsets), product(Y, [[v] for v in function(centre)]), -1)
     found = [c + row[0] for c, row in zip(centre, image, strict=True)]
     return found if all(b.contains_interior(k) for b, k in zip(box, found, strict=True)) else None
 

@@ -379,7 +379,7 @@ class Field:
     def continued(self, slopes: list[Function]) -> list[Function]:
         """Derivatives of functions that may hold |a|, if they are continuous too. Raises NotCheckable."""
         smooth = all(kind != "fabs" for kind, _, _ in self.atoms) or all(self.everywhere(v.bottom) for v in slopes)
-        require(smooth, "a derivative may jump", NotCheckable)
+        require(smooth, "a function or its derivative may jump", NotCheckable)
         return slopes
 
     def entire(self, moduli: bool = False) -> bool:
