@@ -20,7 +20,7 @@ import numpy as np
 from flint import acb, acb_mat, arb, arb_mat
 
 from pbcgen.proof.claim import Status
-from pbcgen.sampling.transition import LinearLoop, Transition, diagonalise, midpoints, real_identity
+from pbcgen.sampling.transition import Diagonal, LinearLoop, Transition, diagonalise, midpoints, real_identity
 from pbcgen.symbolic.real import ball, enclose, in_high_precision, precision, rational
 
 #: Bits of the balls of a scan; the decision at a single period uses more.
@@ -111,15 +111,12 @@ def _contracts(gaps: list[arb], rest: arb_mat) -> _Contraction:
     return _Contraction(all(gaps[i] * weights[i, 0] > pushed[i, 0] for i in range(size)), load)
 
 
-def _first_cell(transition: Transition, continuous: acb_mat, end: arb) -> bool:
+def _first_cell(transition: Transition, continuous: Diagonal, end: arb) -> bool:
     """Whether the loop is stable for every h in (0, end].
 
     With ``M = I + h (J + h M''/2)``, J the continuous loop, and ``|1 + h mu| <= 1 + h Re mu + h^2 |mu|^2 / 2``.
     """
-    found = diagonalise(continuous)
-    if found is None:
-        return False
-    V, inverse, _, values, error = found
+    V, inverse, _, values, error = continuous
     try:
         curved = _absolute(inverse * transition.jet(arb(0).union(end)).c2 * V)
     except ZeroDivisionError:
@@ -326,7 +323,9 @@ def scan(
 
 def _begin(transition: Transition, end: Fraction) -> Fraction | None:
     """The end of a first cell that starts at h = 0, or None if the continuous loop is not certainly Hurwitz."""
-    continuous = transition.jet(arb(0)).c1
+    continuous = diagonalise(transition.jet(arb(0)).c1)
+    if continuous is None:
+        return None
     h = end
     for _ in range(120):
         if _first_cell(transition, continuous, ball(rational(h))):

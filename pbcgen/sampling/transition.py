@@ -9,11 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import TypeAlias
 
 from flint import acb, acb_mat, arb, arb_mat, ctx
 
 from pbcgen.symbolic.real import BITS, ball, precision, rational
 from pbcgen.symbolic.real_matrices import RealMatrix, add, multiply
+
+#: V, V^{-1}, ``V^{-1} A V``, its diagonal and a bound of its rest.
+Diagonal: TypeAlias = tuple[acb_mat, acb_mat, acb_mat, list[acb], arb]
 
 #: Residual of an approximate diagonalisation, relative to the matrix, above which it is not used.
 _DIAGONAL = 1e-20
@@ -227,7 +231,7 @@ def _integral(v: acb, t: arb) -> acb:
     return (z.exp() - 1) / v
 
 
-def diagonalise(A: acb_mat) -> tuple[acb_mat, acb_mat, acb_mat, list[acb], arb] | None:
+def diagonalise(A: acb_mat) -> Diagonal | None:
     """V, ``V^{-1}``, ``V^{-1} A V``, its diagonal and a bound of its rest; None if A is nearly defective."""
     size = A.nrows()
     try:

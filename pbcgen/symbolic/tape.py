@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from itertools import accumulate
 from typing import Any, Generic, Protocol, TypeVar
 
 import casadi as ca
@@ -186,7 +187,7 @@ class Tape:
         Raises ModelError if an output depends on a symbol that is not among the inputs.
         """
         inputs = [ca.densify(ca.vec(symbol)) for symbol in inputs]
-        shared = [ca.sparsify(o) for o in _share([ca.sparsify(output) for output in outputs])]
+        shared = [ca.sparsify(o) for o in _share([ca.sparsify(ca.SX(output)) for output in outputs])]
         names = [f"i{k}" for k in range(len(inputs))]
         results = [f"o{k}" for k in range(len(shared))]
         function = ca.Function("tape", inputs, shared, names, results, {"allow_free": True})
@@ -317,16 +318,8 @@ def exact_decimal(value: float) -> Fraction:
 
 def _share(outputs: Sequence[ca.SX]) -> list[ca.SX]:
     """The expressions with equal subexpressions made one; CasADi's rewriting keeps the values unchanged."""
-    shapes = [ca.SX(output).sparsity() for output in outputs]
-    entries: list[Any] = [entry for output in outputs for entry in ca.SX(output).nonzeros()]
-    if not entries:
-        return [ca.SX(output) for output in outputs]
-    nonzeros = ca.vertsplit(ca.cse(ca.densify(ca.vertcat(*entries))))
-    result = []
-    start = 0
-    for sparsity in shapes:
-        count = sparsity.nnz()
-        block = ca.vertcat(*nonzeros[start : start + count]) if count else ca.SX(0, 1)
-        result.append(ca.SX(sparsity, block))
-        start += count
-    return result
+    ends = [0, *accumulate(output.nnz() for output in outputs)]
+    if not ends[-1]:
+        return [*outputs]
+    nonzeros = ca.vertsplit(ca.cse(ca.vertcat(*[ca.vec(output).nz[:] for output in outputs if output.nnz()])), ends)
+    return [ca.SX(output.sparsity(), block) for output, block in zip(outputs, nonzeros, strict=True)]

@@ -17,6 +17,8 @@ from pbcgen.sampling import common_storage
 from pbcgen.symbolic.real import BITS, precision
 from tests.control.test_sampled import two_masses
 
+pytestmark = pytest.mark.xdist_group("ellipsoid")  # they share a region
+
 
 @pytest.fixture(scope="module")
 def pendulum():

@@ -17,6 +17,9 @@ from pbcgen.law.rounding import STATE_LIMIT
 from pbcgen.law.solves import with_tanh
 from pbcgen.law.step import ReferenceStep, StepStatus
 
+#: The compiled packages are shared by the tests of one process.
+pytestmark = [pytest.mark.system, pytest.mark.xdist_group("compiled step")]
+
 LAWS = {
     "two_channels": laws.two_channels,
     "two_channels_holding": lambda precision: laws.two_channels(precision, Fallback.LAST_OUTPUT),

@@ -14,6 +14,8 @@ from pbcgen.law.step import ReferenceStep
 from pbcgen.models.loader import load
 from pbcgen.run.wrapper import Controller
 
+pytestmark = pytest.mark.xdist_group("wrapper")  # they share what they compile
+
 
 @pytest.fixture(scope="module", params=["float", "double"])
 def precision(request: pytest.FixtureRequest) -> str:

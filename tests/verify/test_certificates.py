@@ -29,6 +29,9 @@ from pbcgen.symbolic.real import approximate, precision
 from pbcgen.verify.claims import bits_for, find
 from pbcgen.verify.stability import Stability
 
+#: Certificates are shared by the tests of one process.
+pytestmark = pytest.mark.xdist_group("certificates")
+
 #: Claims that the checker has a check for.
 COVERED = {
     "input-rank",
@@ -134,17 +137,19 @@ def _energy(p, q1, q2, v1, v2, wall=1, spring=1):
 
 @functools.cache
 def _broken(defect):
-    return derive(oscillator(**BROKEN[defect]))
+    """What is derived of a broken model, and its certificate as a text."""
+    derivation = derive(oscillator(**BROKEN[defect]))
+    return derivation, json.dumps(certificate(derivation))
 
 
 @pytest.mark.parametrize("defect", BROKEN)
 def test_a_broken_model_is_not_believed(defect):
     """Under the certificate of the good model, and under its own with every verdict forced to PROVED."""
-    derivation = _broken(defect)
+    derivation, text = _broken(defect)
     design = derivation.design
     truth = {claim.claim: claim.status for claim in derivation.claims}
     assert "REFUTED" in truth.values()
-    own = json.loads(json.dumps(certificate(derivation)))
+    own = json.loads(text)
     for document in (forged(certificate_of("oscillator"), design), forged(own, design)):
         believed = {claim for claim, outcome in outcomes(document).items() if outcome == "checked"}
         assert {claim for claim in believed if truth[claim] != "PROVED"} == set()
@@ -152,8 +157,8 @@ def test_a_broken_model_is_not_believed(defect):
 
 @pytest.mark.parametrize("defect", BROKEN)
 def test_the_refutations_of_a_broken_model_are_checked(defect):
-    derivation = _broken(defect)
-    found = outcomes(json.loads(json.dumps(certificate(derivation))))
+    derivation, text = _broken(defect)
+    found = outcomes(json.loads(text))
     refuted = {claim.claim for claim in derivation.claims if claim.status == "REFUTED"} & COVERED
     assert {claim for claim in refuted if found[claim] != "checked"} == set()
 
