@@ -107,6 +107,7 @@ def _arm(change, changed):
     return Design(system, {"q_0": "0.5", "q_1": "0.25"}, law, sample_period="1e-3", name="arm")
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("changed", ["m1", "m2", "d1", "d2"])
 @pytest.mark.parametrize("change", ["c + e", "c - e"])
 def test_a_changed_coefficient_of_an_arm(change, changed, without_refuter):

@@ -115,6 +115,7 @@ def test_it_is_found(make, shape, size):
 MANY = [("logistic", 4, 0), ("logistic", 5, 1), ("arctangents", 5, 0), ("erf", 5, 0)]
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("shape", "size", "seed"), MANY)
 def test_it_is_found_between_steps_in_many_variables(shape, size, seed):
     draw = random.Random(f"{shape} {size} {seed}")
@@ -122,6 +123,7 @@ def test_it_is_found_between_steps_in_many_variables(shape, size, seed):
     assert claim.status is Status.REFUTED
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("make", "shape", "size"), [case for case in CASES if case[0] is not circuit])
 def test_what_only_comes_close_to_zero_is_not_refuted(make, shape, size):
     draw = random.Random(f"{make.__name__} {shape} {size}")
