@@ -134,7 +134,9 @@ class _Work:
             z = [rational(v) for v in numbers]
             if sign(put_in(system.field, system.power_at(system.constants), z)) == -1:
                 return {"x": numbers}
-            if plant.exact(ca.vertcat(plant.system.f, plant.system.S))[0].atoms:
+            chain = Elimination(system.field, [], [])
+            chain.solved = {k: system.field.lift(v) for k, v in enumerate(z)}
+            if chain.reduced(system.field.lift(system.power_at(system.constants))).top:
                 return None
             return {"set": {str(k): self.terms.put(f"constant {v}") for k, v in enumerate(numbers)}, "z": numbers}
         chain = Elimination(system.field, [system.field.lift(0)] * len(symbols), system.rows)
