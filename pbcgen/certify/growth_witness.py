@@ -23,6 +23,8 @@ from pbcgen.verify.stability import Stability
 _LEAST_SLOPES = ("1", "1/100", "1/100000", "1/1000000000")
 #: What is added to a storage that shall be a sum of squares.
 _CONSTANTS = (0, 1, 100, 10**6)
+#: Squares of states at which fourth powers are cut.
+_SPARE = (1, 10, 100)
 
 #: What a storage with higher powers may have of a square.
 _LITTLE = (fmpq(1), fmpq(1, 100))
@@ -172,13 +174,17 @@ def _separate(system: Stability, energy: Function) -> list[Part]:
     return [(d / 2, t) for d, t in _diagonal(H, field.symbols[half:n])]
 
 
-def _diagonal(matrix: Sequence[Sequence[Function]], z: Sequence[Function]) -> list[tuple[Function, Function]]:
-    """``z^T M z = sum d_i t_i^2``: (d_i, t_i), without those with d_i = 0; rows with few entries first."""
+def _diagonal(
+    matrix: Sequence[Sequence[Function]], z: Sequence[Function], last: Sequence[bool] | None = None
+) -> list[tuple[Function, Function]]:
+    """``z^T M z = sum d_i t_i^2``: (d_i, t_i), without those with d_i = 0; rows with few entries first, some last."""
+    late = last or [False] * len(z)
     work, found = {i: {k: v for k, v in enumerate(row) if v.top} for i, row in enumerate(matrix)}, []
     while work := {i: row for i, row in work.items() if row}:
-        i = min((len(row), i) for i, row in work.items() if i in row)[1] if any(i in work[i] for i in work) else None
-        if i is None:
+        pivots = [(late[i], len(row), i) for i, row in work.items() if i in row]
+        if not pivots:
             return []
+        i = min(pivots)[-1]
         row = work.pop(i)
         pivot = row.pop(i)
         ratios, t = {k: v / pivot for k, v in row.items()}, z[i]
@@ -222,7 +228,8 @@ def _quadratic(
     except Inconsistent:
         return [], [fmpq(0)] * len(gamma)
     shifted = [field.symbols[k] + solution.get(("x", k), fmpq(0)) for k in range(n)]
-    return _diagonal(Q, shifted), [solution.get(("gamma", j), fmpq(0)) for j in range(len(gamma))]
+    steep = [degree > 2 for degree in rest.top.degrees()[field.pool : field.pool + n]]  # these outgrow a square
+    return _diagonal(Q, shifted, steep), [solution.get(("gamma", j), fmpq(0)) for j in range(len(gamma))]
 
 
 def _ordered(
@@ -326,4 +333,24 @@ def _excess(field: Field, rest: Function, terms: Writing) -> list[list[Any]] | N
         squares = in_squares(field, [[rest + fmpq(constant)]], terms)
         if squares is not None:
             return squares
+    return _by_fourth_powers(field, rest, terms)
+
+
+def _by_fourth_powers(field: Field, rest: Function, terms: Writing) -> list[list[Any]] | None:
+    """``c x^4 = c (x^2 - r)^2 + 2 c r x^2 - c r^2``: what a fourth power has to spare for squares and linear terms."""
+    powers = {k: rest.top.to_dict().get(_alone(field, k, 4), fmpq(0)) for k in range(len(field.symbols))}
+    steep = {k: c for k, c in powers.items() if c > 0 and rest.bottom.is_constant()}
+    for r in _SPARE if steep else ():
+        tops = {k: field.symbols[k] * field.symbols[k] - r for k in steep}
+        left = rest - sum((tops[k] * tops[k] * c for k, c in steep.items()), field.lift(0))
+        for constant in _CONSTANTS:
+            squares = in_squares(field, [[left + fmpq(constant)]], terms)
+            if squares is not None:
+                return [[str(c), [], [terms.function(tops[k])]] for k, c in steep.items()] + squares
     return None
+
+
+def _alone(field: Field, k: int, power: int) -> tuple[int, ...]:
+    """The exponents of a power of a symbol."""
+    size = range(field.pool + len(field.symbols))
+    return tuple(power if j == field.pool + k else 0 for j in size)

@@ -4,7 +4,7 @@ import copy
 
 import casadi as ca
 import pytest
-from certificates import outcomes, signed
+from certificates import forged, outcomes, signed
 from documents import GLOBAL, LOCAL, SAMPLED, document_of, status, with_witness, witness, written_for
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical
@@ -183,3 +183,20 @@ def test_rates_that_are_no_combination_of_what_vanishes_are_refused():
                 changed = with_witness(document, GLOBAL, rates=rates | {i: row | {j: weight}})
                 assert outcomes(changed)[GLOBAL] == "fails"
     assert outcomes(with_witness(document, GLOBAL, rates={}))[GLOBAL] == "fails"
+
+
+def test_a_fourth_power_outgrows_what_is_negative_beside_it():
+    """``q0^4 / 4 - q0^2 / 2 + 4 (q0 - q1)^2 - 4 q1``: no sum of squares of its terms, but of what q0^4 has to spare."""
+    q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 2)
+
+    def certified(quartic):
+        V = quartic * q[0] ** 4 - q[0] ** 2 / 2 + 4 * (q[0] - q[1]) ** 2 - 4 * q[1]
+        system = Mechanical(q, p, M=[3, 3], V=V, D=[0, 1], G=[1, 0])
+        law = DynamicExtension(10, "4.5", 50, "0.1")
+        return Design(system, {"q_0": "0.41"}, law, sample_period="1e-2", near={"q_1": 0}, name="trial")
+
+    document = written_for(certified(0.25))
+    assert status(document, GLOBAL) == "PROVED"
+    assert outcomes(document)[GLOBAL] == "checked"
+    for quartic in (0, -0.25):
+        assert outcomes(forged(document, certified(quartic)))[GLOBAL] == "fails"
