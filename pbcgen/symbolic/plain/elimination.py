@@ -87,7 +87,7 @@ class Elimination:
         """Whether an equation is a power of this function times a function that vanishes nowhere."""
         e = self.reduced(self.equations[source])
         for _ in range(max(1, int(e.top.total_degree()))):
-            e = self.field.quotient(e.top * gone.bottom, gone.top)
-            if self.field.everywhere(e.top):
+            e = self.field.quotient(e.top, gone.top)
+            if self.field.everywhere(e.top) and self.field.everywhere(gone.bottom):
                 return True
         return False
