@@ -161,13 +161,12 @@ class Stability(Assumptions):
         witness = self.witness[_GLOBAL]
         if "popov" in witness:
             return self.in_sectors()
-        rests = witness["alone"]  # without it, nothing is said against the claim
         require(not self.model.domain, "the model is restricted to a domain")
+        self.grows(witness)  # first, as nothing is said against a claim whose certificate has no witness
         self.lyapunov()
         require({self.domain[c] for c in ("assumption-1", "passive-output")} == {"all x"}, "it holds on a domain only")
-        self.grows(witness)
         self.settles(self.undriven(), witness)
-        self.alone(rests)
+        self.alone(witness["alone"])
         return require(self.field.entire(moduli=True), "the model may not be smooth everywhere", NotCheckable)
 
     def refuted_globally_asymptotically_stable(self) -> None:
