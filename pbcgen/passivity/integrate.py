@@ -63,13 +63,11 @@ def potential(plant: Plant, psi: ca.SX) -> ca.SX | None:
     candidates = _candidates(field, monomials, states)
     if len(candidates) > _MOST_CANDIDATES:
         return None
-    [s for column in plant.symbols for s in ca.vertsplit(column)]
     functions = [plant.expression(field.polynomial(field.context.from_dict({m: fmpq(1)}))) for m in candidates]
     return _match(plant, psi, functions)
 
 
 def _linear(plant: Plant, field: Field, gradient: Sequence[Quotient]) -> ca.SX:
-    [s for column in plant.symbols for s in ca.vertsplit(column)]
     terms = [plant.expression(entry) * plant.system.x[j] for j, entry in enumerate(gradient) if not entry.is_zero()]
     return sum(terms[1:], terms[0]) if terms else ca.SX(0)
 
@@ -137,7 +135,6 @@ def _match(plant: Plant, psi: ca.SX, functions: Sequence[ca.SX]) -> ca.SX | None
         solution = particular_solution(reduce_rows(rows), zero)
     except Inconsistent:
         return None
-    [s for column in plant.symbols for s in ca.vertsplit(column)]
     total = ca.SX(0)
     for k, function in enumerate(functions):
         value = solution.get(k)
