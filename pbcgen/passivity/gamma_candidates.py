@@ -5,9 +5,10 @@ Nothing here is trusted: :mod:`pbcgen.passivity.passive_output` decides ``Z(x) >
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import combinations_with_replacement
 
 import casadi as ca
 
@@ -15,13 +16,15 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.integrate import Curl, curl, potential
 from pbcgen.passivity.plant import Plant, columns
 from pbcgen.passivity.structure import PowerStructure
-from pbcgen.proof.sos import coefficients
-from pbcgen.symbolic.coefficients import Coefficients
+from pbcgen.proof.sos import coefficients, completed, simplest
+from pbcgen.symbolic.coefficients import Coefficients, cleared
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows, solve
 
-#: gamma is sought by semidefinite programming for systems with at most so many states times inputs.
-_MOST_SYNTHESISED = 8
+#: Systems with more states are not searched for a gamma with products of two, or three, coordinates.
+_MOST_SQUARED, _MOST_CUBED = 12, 4
+#: More coefficients are not sought by semidefinite programming.
+_MOST_UNKNOWNS = 72
 #: Its coefficients are rounded with a relative tolerance, smaller ones than a share of the largest like that share.
 _TOLERANCES = ((1e-3, 1e-1), (1e-3, 1e-3), (1e-6, 1e-3))
 
@@ -131,8 +134,16 @@ def _ansatz(plant: Plant) -> Iterator[Candidate]:
 
     The conditions ``grad gamma^T f = g^T grad S`` and ``grad gamma^T g = 0`` are linear in the coefficients.
     """
+    for functions in _bases(plant):
+        found = _matching(plant, functions)
+        if found is not None:
+            yield found
+            return
+
+
+def _matching(plant: Plant, functions: Sequence[ca.SX]) -> Candidate | None:
+    """The combination of functions that meets these conditions."""
     system = plant.system
-    functions = _basis(plant)
     gradients = ca.jacobian(ca.vertcat(*functions), system.x)
     along_f, along_g = ca.mtimes(gradients, system.f), ca.mtimes(gradients, system.g)
     natural = ca.mtimes(system.g.T, plant.gradient)
@@ -142,15 +153,15 @@ def _ansatz(plant: Plant) -> Iterator[Candidate]:
     for i in range(system.m):
         row = _combination(plant, field, drift.column(zero), inputs.dense(zero), wanted.column(zero)[i])
         if row is None:
-            return
+            return None
         parts.append(sum((plant.expression(c) * functions[k] for k, c in row.items()), ca.SX(0)))
-    yield Candidate("basis ansatz with w = 0", ca.vertcat(*parts))
+    return Candidate("basis ansatz with w = 0", ca.vertcat(*parts))
 
 
-def _basis(plant: Plant) -> list[ca.SX]:
-    """Coordinates, their products, and the atoms of f, g, S."""
+def _bases(plant: Plant) -> Iterator[list[ca.SX]]:
+    """Coordinates, their products, and the atoms of f, g, S; then these times a coordinate, too."""
     x = ca.vertsplit(plant.system.x)
-    products = [x[i] * x[j] for i in range(len(x)) for j in range(i, len(x))] if len(x) <= 12 else []
+    products = [a * b for a, b in combinations_with_replacement(x, 2)] if len(x) <= _MOST_SQUARED else []
     field, _ = plant.exact(plant.system.f, plant.system.g, plant.system.S, symbolic=True)
     parameters = plant.parameter_positions()
     atoms = [
@@ -158,7 +169,10 @@ def _basis(plant: Plant) -> list[ca.SX]:
         for k, a in sorted(field.atoms.items())
         if not a.argument.symbols() <= parameters
     ]
-    return [*x, *atoms, *products]
+    yield [*x, *atoms, *products]
+    if len(x) <= _MOST_CUBED:
+        cubes = [a * b * c for a, b, c in combinations_with_replacement(x, 3)]
+        yield [*x, *atoms, *products, *(a * b for a in atoms for b in x), *cubes]
 
 
 def _combination(
@@ -186,35 +200,38 @@ def _combination(
 
 
 def synthesised(plant: Plant, storage_proved: bool) -> Iterator[Candidate]:
-    """gamma in a basis, with coefficients for which Z(x) >= 0 seems to be a matrix sum of squares; w may be nonzero."""
-    system = plant.system
-    if system.gamma is not None or not storage_proved or system.n * system.m > _MOST_SYNTHESISED:
+    """gamma as a combination of functions for which Z(x) >= 0 is a matrix sum of squares; w may be nonzero.
+
+    ``u^T gamma' - S'`` is linear in the coefficients of gamma and must be a sum of squares in x and u: a semidefinite
+    programme. Its solution is rounded to short numbers, and moved onto its linear equations exactly: every rest is in
+    the kernel of Z(x), whatever gamma.
+    """
+    if plant.system.gamma is not None or not storage_proved:
         return
-    functions = _basis(plant)
+    for functions in _bases(plant):
+        yield from _programmed(plant, functions)
+
+
+def _programmed(plant: Plant, functions: Sequence[ca.SX]) -> Iterator[Candidate]:
+    system = plant.system
+    if len(functions) * system.m > _MOST_UNKNOWNS:
+        return
     rates = ca.mtimes(ca.jacobian(ca.vertcat(*functions), system.x), system.xdot)
     loss = -ca.dot(plant.gradient, system.xdot)
-    directions = ca.vertcat(*[system.u[i] * rates for i in range(system.m)])
-    field, (base, offered) = plant.exact(loss, directions)
-    zero = field.const(0)
-    quotients = [base.scalar(zero), *offered.column(zero)]
-    if not all(q.is_polynomial() for q in quotients):
-        return
-    found = coefficients(field, quotients[0].numerator, [q.numerator for q in quotients[1:]])
+    field, (base, offered) = plant.exact(loss, ca.vertcat(*[system.u[i] * rates for i in range(system.m)]))
+    balance, *directions = cleared(field, [base.scalar(field.const(0)), *offered.column(field.const(0))])
+
+    def candidate(weights: Sequence[Fraction]) -> Candidate:
+        rows = [weights[i * len(functions) : (i + 1) * len(functions)] for i in range(system.m)]
+        gamma = [sum((plant.number(c) * f for c, f in zip(row, functions, strict=True) if c), ca.SX(0)) for row in rows]
+        return Candidate("basis ansatz, Z(x) as a matrix sum of squares", ca.vertcat(*gamma))
+
+    found = coefficients(field, balance, directions)
     if found is None:
         return
     largest = max(abs(c) for c in found)
     for tolerance, floor in _TOLERANCES:
-        simple = [_simplest(c, tolerance * max(abs(c), floor * largest)) for c in found]
-        rows = [simple[i * len(functions) : (i + 1) * len(functions)] for i in range(system.m)]
-        gamma = [sum((plant.number(c) * f for c, f in zip(row, functions, strict=True) if c), ca.SX(0)) for row in rows]
-        yield Candidate("basis ansatz, Z(x) as a matrix sum of squares", ca.vertcat(*gamma))
-
-
-def _simplest(value: float, tolerance: float) -> Fraction:
-    """The fraction with the least denominator within the tolerance, roughly."""
-    exact = Fraction(value)
-    for digits in range(16):
-        candidate = exact.limit_denominator(10**digits)
-        if abs(candidate - exact) <= tolerance:
-            return candidate
-    return exact
+        yield candidate([simplest(c, tolerance * max(abs(c), floor * largest)) for c in found])
+    exact = completed(field, balance, directions, {})
+    if exact is not None:
+        yield candidate(exact[1])

@@ -9,7 +9,8 @@ gamma gives a passive output for the storage S iff for all x (Hill-Moylan)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from itertools import chain
 
 import casadi as ca
@@ -30,6 +31,9 @@ from pbcgen.proof.sos import squares_tried, sum_of_squares
 from pbcgen.symbolic.display import number
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import rational, sign, text
+
+#: Boxes that may be looked at for all candidates on a region.
+_BOXES = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,38 +75,69 @@ def find(
         point: the equilibrium, to say whether its dissipation forces w != 0.
     """
     where = region or Region.whole(plant)
-    tried: list[str] = []
-    obstacles: list[Obstacle] = []
-    unproved: list[Candidate] = []
-    try:
-        for candidate in chain(candidates(plant, structure), synthesised(plant, storage_proved)):
-            if isinstance(candidate, Obstacle):
-                obstacles.append(candidate)
-                tried.append(f"{candidate.strategy}: not integrable")
-                continue
-            if _is_constant(plant, candidate.gamma):
-                tried.append(f"{candidate.strategy}: only a constant gamma, which feeds nothing back")
-                continue
-            method = prove(plant, structure, candidate.gamma, storage_proved, structure_proved, where)
-            if method is not None:
-                claim = _proved(candidate, method, where, _forced(plant, point))
-                return PassiveOutput(candidate.gamma, candidate.strategy, claim, method.startswith("structure"))
-            if candidate.strategy != GIVEN and _pushes_forward(plant, candidate.gamma, point):
-                tried.append(f"{candidate.strategy}: gamma' falls where u pushes, so Z(x) >= 0 fails")
-                continue
-            tried.append(f"{candidate.strategy}: Z(x) >= 0 not proved")
-            unproved.append(candidate)
-    except (UnsupportedOperation, ZeroDivisionError) as reason:
-        tried.append(str(reason))
-    searched = plant.system.gamma is None and (storage_proved or not unproved)
+    search = _Search(plant, structure, storage_proved, structure_proved, point)
+    found = search.on(where, chain(candidates(plant, structure), synthesised(plant, storage_proved)))
+    if found is not None:
+        return found
+    searched = plant.system.gamma is None and (storage_proved or not search.unproved)
     impossible = _impossible(obstruction(plant)) if searched else None
     if impossible is None and storage_proved and point is not None:
-        impossible = _contradicted(negative_response(plant, point))
-    if unproved:
-        first, jump = unproved[0], plant.jumps(unproved[0].gamma)
-        claim = impossible or _refuted_gamma(plant, first, where) or _unproved(first, storage_proved, where, jump)
+        impossible = _contradicted(plant, negative_response(plant, point))
+    stated = Region.stated(plant)
+    if impossible is None and storage_proved and where.is_whole and not stated.is_whole:
+        found, where = search.on(stated, iter([*search.obstacles, *search.unproved])), stated
+        if found is not None:
+            return found
+    if search.unproved:
+        first, jump = search.unproved[0], plant.jumps(search.unproved[0].gamma)
+        claim = _refuted_gamma(plant, first, where) or impossible
+        claim = claim or _unproved(first, storage_proved, where, jump)
         return PassiveOutput(first.gamma, first.strategy, claim, False)
-    return impossible or _none(plant, tried, obstacles, _forced(plant, point))
+    return impossible or _none(plant, search.tried, search.obstacles, _forced(plant, point))
+
+
+@dataclass(eq=False)
+class _Search:
+    """The candidates one after the other, and what became of them."""
+
+    plant: Plant
+    structure: PowerStructure | None
+    storage_proved: bool
+    structure_proved: bool
+    point: Point | None
+    tried: list[str] = field(default_factory=list)
+    obstacles: list[Obstacle] = field(default_factory=list)
+    unproved: list[Candidate] = field(default_factory=list)
+    budget: Budget = field(default_factory=Budget)
+
+    def on(self, where: Region, proposals: Iterator[Candidate | Obstacle]) -> PassiveOutput | None:
+        """The first that is proved on a region, or None."""
+        self.tried, self.obstacles, self.unproved, self.budget = [], [], [], Budget(_BOXES)
+        try:
+            for candidate in proposals:
+                found = self._look(candidate, where)
+                if found is not None:
+                    return found
+        except (UnsupportedOperation, ZeroDivisionError) as reason:
+            self.tried.append(str(reason))
+        return None
+
+    def _look(self, candidate: Candidate | Obstacle, where: Region) -> PassiveOutput | None:
+        plant = self.plant
+        if isinstance(candidate, Obstacle):
+            self.obstacles.append(candidate)
+            self.tried.append(f"{candidate.strategy}: not integrable")
+        elif _is_constant(plant, candidate.gamma):
+            self.tried.append(f"{candidate.strategy}: only a constant gamma, which feeds nothing back")
+        elif method := prove(plant, self.structure, candidate.gamma, self.storage_proved, self.structure_proved, where):
+            claim = _proved(candidate, method, where, _forced(plant, self.point))
+            return PassiveOutput(candidate.gamma, candidate.strategy, claim, method.startswith("structure"))
+        elif candidate.strategy != GIVEN and _pushes_forward(plant, candidate.gamma, self.point):
+            self.tried.append(f"{candidate.strategy}: gamma' falls where u pushes, so Z(x) >= 0 fails")
+        else:
+            self.tried.append(f"{candidate.strategy}: Z(x) >= 0 not proved")
+            self.unproved.append(candidate)
+        return None
 
 
 def _is_constant(plant: Plant, gamma: ca.SX) -> bool:
@@ -138,6 +173,7 @@ def prove(
     storage_proved: bool,
     structure_proved: bool,
     region: Region | None = None,
+    budget: Budget | None = None,
 ) -> str | None:
     """How ``Z(x) >= 0`` was proved for this gamma, or None.
 
@@ -148,6 +184,7 @@ def prove(
         storage_proved: whether Assumption 1 is proved.
         structure_proved: whether its dissipation B >= 0 is proved, so that it may be used for u != 0.
         region: where Assumption 1 is proved, and Z(x) >= 0 is wanted; the whole space if not given.
+        budget: of boxes, where the region is bounded.
     """
     system = plant.system
     where = region or Region.whole(plant)
@@ -160,8 +197,10 @@ def prove(
         field, (p, g, f, e) = plant.exact(psi, system.g, system.f, plant.gradient)
         zero = field.const(0)
         signals = columns(p, zero), columns(g, zero), f.column(zero), e.column(zero)
-        direct = _direct(*signals, zero, where.prover(Budget()))
-        return direct or _by_squares(plant, gamma, where)
+        if not where.is_whole and (squares := _by_squares(plant, gamma, where)) is not None:
+            return squares  # boxes take longer
+        direct = _direct(*signals, zero, where.prover(budget or Budget()))
+        return direct or (_by_squares(plant, gamma, where) if where.is_whole else None)
     except (UnsupportedOperation, ZeroDivisionError):
         return None
 
@@ -288,20 +327,23 @@ def _impossible(found: Obstruction | None) -> Claim | None:
     )
 
 
-def _contradicted(found: Response | None) -> Claim | None:
-    """The verdict when the linearised system contradicts every gamma near x*."""
+def _contradicted(plant: Plant, found: Response | None) -> Claim | None:
+    """The verdict when the system, linearised at a rest, contradicts every gamma."""
     if found is None:
         return None
     omega, value = number(found.omega), text(found.value, 6)
+    names = (*plant.system.state_names, *plant.system.input_names)
+    rest = {name: text(v, 17) for name, v in zip(names, (*found.point.x, *found.point.u), strict=True)}
+    shown = ", ".join(f"{name} = {text(v, 6)}" for name, v in zip(names, (*found.point.x, *found.point.u), strict=True))
     return Claim(
         "passive-output",
         Status.REFUTED,
-        "near x*",
-        "response of the linearised system in ball arithmetic",
-        "no gamma exists near x*, whatever w: with e = grad S and A = d(f + g u*)/dx at x*, Z(x) >= 0 needs "
-        f"e^T (A^2 + omega^2 I)^-1 g u* >= 0 at every frequency, and it is {value} at omega = {omega}",
+        "all x",
+        "response of the system, linearised at a rest, in ball arithmetic",
+        f"no gamma exists, whatever w: at the rest {shown}, with e = grad S and A = d(f + g u)/dx, Z(x) >= 0 needs "
+        f"e^T (A^2 + omega^2 I)^-1 g u >= 0 at every frequency, and it is {value} at omega = {omega}",
         "take a storage whose loss is zero at x* (such as the integrals of all flows), or use another input",
-        {"omega": omega, "e^T (A^2 + omega^2 I)^-1 g u*": value},
+        {"rest": rest, "omega": omega, "e^T (A^2 + omega^2 I)^-1 g u": value},
     )
 
 

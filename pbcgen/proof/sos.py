@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from importlib.util import find_spec
-from itertools import product
+from itertools import combinations, product
 from math import ceil
 from typing import Any, TypeAlias
 
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import positive_semidefinite
+from pbcgen.proof.kernels import complement
 from pbcgen.proof.known import Known
 from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.symbolic.field import Field, Quotient
@@ -35,8 +36,12 @@ Exponents: TypeAlias = tuple[int, ...]
 
 _LARGEST_BASIS = 60
 _LARGEST_PROBLEM = 1600
+#: Larger bases are cut down by directions with so many nonzero entries.
+_MANY, _MIXED = 20, 3
 _MOST_EQUATIONS = 450
 _ROUNDS = 4
+#: Numbers beside the matrices are rounded with a relative tolerance.
+_TOLERANCES = (1e-2, 1e-3, 1e-6, 0.0)
 #: Denominator of rounded entries.
 _GRAIN = 2**36
 
@@ -61,7 +66,7 @@ class SumOfSquares:
         """The identity and the matrices again, from scratch."""
         total = field.context.constant(0)
         for block, gram in zip(self.blocks, self.grams, strict=True):
-            if gram and positive_semidefinite([list(row) for row in gram]).status is not Status.PROVED:
+            if gram and not _is_semidefinite(gram):
                 return False
             for i, row in enumerate(gram):
                 for j, entry in enumerate(row):
@@ -136,9 +141,33 @@ def blocks(field: Field, polynomial: fmpq_mpoly, bounds: Mapping[int, Interval])
             continue
         least, largest = (min(totals) - max(own)) / 2, ceil((max(totals) - max(own)) / 2)
         chosen = [z for z in product(*ranges) if least <= sum(z) <= largest]
+        if len(chosen) > _MANY and len(multiplier) == 1:
+            free = [i for i, k in enumerate(used) if k < field.symbol_count]  # atoms may be roots, or sines and cosines
+            chosen = _within(chosen, [[e[k] for k in used] for e in terms], [int(degrees[k]) for k in used], free)
         if chosen and len(chosen) <= _LARGEST_BASIS:
             result.append(Block(multiplier, tuple(_monomial(field, used, z) for z in chosen)))
     return result
+
+
+def _within(
+    basis: Sequence[Exponents], terms: Sequence[Sequence[int]], shift: Sequence[int], free: Sequence[int]
+) -> list[Exponents]:
+    """The elements whose squares, times a power product, are between the terms in all of some directions (Reznick).
+
+    The directions are those of the ``free`` positions, between which there are no algebraic relations.
+    """
+    directions = [
+        [dict(zip(chosen, signs, strict=True)).get(k, 0) for k in range(len(shift))]
+        for count in range(1, min(_MIXED, len(free)) + 1)
+        for chosen in combinations(free, count)
+        for signs in product((-1, 1), repeat=count)
+    ]
+    if not directions:
+        return list(basis)
+    reach = np.array(terms) @ np.array(directions).T
+    squares = (2 * np.array(basis) + np.array(shift)) @ np.array(directions).T
+    inside = np.all((squares >= reach.min(axis=0)) & (squares <= reach.max(axis=0)), axis=1)
+    return [z for z, keep in zip(basis, inside, strict=True) if keep]
 
 
 def _monomial(field: Field, used: Sequence[int], exponents: Sequence[int]) -> fmpq_mpoly:
@@ -217,21 +246,39 @@ def _pruned(
 
 def find(field: Field, polynomial: fmpq_mpoly, bounds: Mapping[int, Interval]) -> SumOfSquares | None:
     """A sum of squares with exact rational matrices, or None."""
-    if polynomial.is_zero() or not available():
+    if polynomial.is_zero():
         return None
-    parts = blocks(field, polynomial, bounds)
+    found = completed(field, polynomial, (), bounds)
+    return None if found is None else found[0]
+
+
+def completed(
+    field: Field, base: fmpq_mpoly, directions: Sequence[fmpq_mpoly], bounds: Mapping[int, Interval]
+) -> tuple[SumOfSquares, list[Fraction]] | None:
+    """``base + sum c_k directions_k`` as a sum of squares with exact rational matrices and numbers c, or None.
+
+    The equations of matrices and c are linear together, so that c too is moved onto them exactly where they ask for it.
+    """
+    if not available():
+        return None
+    support, terms = _support(field, base, directions)
+    parts = blocks(field, support, bounds)
     for _ in range(_ROUNDS):
-        pruned = _pruned(field, polynomial, parts)
+        pruned = _pruned(field, support, parts, complete=not directions)
         if pruned is None:
             return None
         parts, equations = pruned
-        solved = _solve(equations, parts)
+        equations = _Equations({**{key: {} for key in equations.wanted}, **equations.rows}, terms[0])
+        solved = _solve(equations, parts, terms[1:])
         if solved is None:
             return None
-        grams, margin, _ = solved
-        exact = _rounded(equations, parts, grams)
-        if exact is not None:
-            return SumOfSquares(polynomial, tuple(parts), tuple(exact))
+        grams, margin, free = solved
+        for tolerance in _TOLERANCES if directions else (0.0,):
+            wanted = [simplest(float(c), tolerance * max(abs(c), 0.1 * np.max(np.abs(free)))) for c in free]
+            exact = _rounded(equations, parts, grams, terms[1:], wanted)
+            if exact is not None:
+                total = sum((d * rational(c) for d, c in zip(directions, exact[1], strict=True)), base)
+                return SumOfSquares(total, tuple(parts), tuple(exact[0])), exact[1]
         if margin > 1e-4:
             return None
         reduced = _without_kernels(parts, grams)
@@ -239,6 +286,27 @@ def find(field: Field, polynomial: fmpq_mpoly, bounds: Mapping[int, Interval]) -
             return None
         parts = reduced
     return None
+
+
+def _support(
+    field: Field, base: fmpq_mpoly, directions: Sequence[fmpq_mpoly]
+) -> tuple[fmpq_mpoly, list[dict[Exponents, fmpq]]]:
+    """A polynomial with all monomials that occur, and the coefficients of each by monomial."""
+    support = field.context.constant(0)
+    for index, part in enumerate((base, *directions)):
+        support += field.context.from_dict({e: fmpq(1) for e in part.to_dict()}) * (index + 1)
+    terms = [{tuple(int(v) for v in e): c for e, c in part.to_dict().items()} for part in (base, *directions)]
+    return support, terms
+
+
+def simplest(value: float, tolerance: float) -> Fraction:
+    """The fraction with the least denominator within the tolerance, roughly."""
+    exact = Fraction(value)
+    for digits in range(16):
+        candidate = exact.limit_denominator(10**digits)
+        if abs(candidate - exact) <= tolerance:
+            return candidate
+    return exact
 
 
 def coefficients(
@@ -250,15 +318,12 @@ def coefficients(
     """
     if not available() or not directions:
         return None
-    support = field.context.constant(0)
-    for index, part in enumerate((base, *directions)):
-        support += field.context.from_dict({e: fmpq(1) for e in part.to_dict()}) * (index + 1)
+    support, terms = _support(field, base, directions)
     pruned = _pruned(field, support, blocks(field, support, bounds or {}), complete=False)
     if pruned is None:
         return None
     parts, equations = pruned
     rows = {**{key: {} for key in equations.wanted}, **equations.rows}
-    terms = [{tuple(int(v) for v in e): c for e, c in part.to_dict().items()} for part in (base, *directions)]
     solved = _solve(_Equations(rows, terms[0]), parts, terms[1:])
     return None if solved is None else [float(c) for c in solved[2]]
 
@@ -340,17 +405,29 @@ def _solve(
     return grams, float(x[count]), x[count + 1 :]
 
 
-def _rounded(equations: _Equations, parts: Sequence[Block], grams: Sequence[Floats]) -> list[list[list[fmpq]]] | None:
-    """Rational positive semidefinite matrices that satisfy the equations exactly, near the given ones; or None."""
-    unknowns = sorted({at for row in equations.rows.values() for at in row}, key=lambda at: (at[1] == at[2], at))
+def _rounded(
+    equations: _Equations,
+    parts: Sequence[Block],
+    grams: Sequence[Floats],
+    free: Sequence[Mapping[Exponents, fmpq]] = (),
+    numbers: Sequence[Fraction] = (),
+) -> tuple[list[list[list[fmpq]]], list[Fraction]] | None:
+    """Rational positive semidefinite matrices that satisfy the equations exactly, near the given ones; or None.
+
+    With ``free`` the wanted polynomial is ``wanted + sum c_k free_k``, and c, near ``numbers``, is part of the result.
+    """
+    entries = sorted({at for row in equations.rows.values() for at in row}, key=lambda at: (at[1] == at[2], at))
+    unknowns: list[tuple[int, int, int] | int] = [*entries, *range(len(free))]
     position = {at: k for k, at in enumerate(unknowns)}
     table = [[fmpq(0)] * (len(unknowns) + 1) for _ in equations.rows]
     for line, (key, row) in zip(table, equations.rows.items(), strict=True):
         for at, coefficient in row.items():
             line[position[at]] = coefficient
+        for c, part in enumerate(free):
+            line[position[c]] = -part.get(key, fmpq(0))
         line[-1] = equations.wanted.get(key, fmpq(0))
     reduced, rank = fmpq_mat(table).rref()
-    values = [_grain(grams[b][i, j]) for b, i, j in unknowns]
+    values = [*(_grain(grams[b][i, j]) for b, i, j in entries), *map(rational, numbers)]
     for r in range(rank):
         pivot = next((k for k in range(len(unknowns) + 1) if reduced[r, k] != 0), len(unknowns))
         if pivot == len(unknowns):
@@ -361,10 +438,15 @@ def _rounded(equations: _Equations, parts: Sequence[Block], grams: Sequence[Floa
                 total -= reduced[r, k] * values[k]
         values[pivot] = total
     result = [[[fmpq(0)] * len(block.basis) for _ in block.basis] for block in parts]
-    for (b, i, j), k in position.items():
+    for k, (b, i, j) in enumerate(entries):
         result[b][i][j] = result[b][j][i] = values[k]
-    checks = (positive_semidefinite([list(row) for row in gram]).status for gram in result if gram)
-    return result if all(status is Status.PROVED for status in checks) else None
+    if not all(_is_semidefinite(gram) for gram in result if gram):
+        return None
+    return result, [fraction(v) for v in values[len(entries) :]]
+
+
+def _is_semidefinite(gram: Sequence[Sequence[fmpq]]) -> bool:
+    return positive_semidefinite([list(row) for row in gram]).status is Status.PROVED
 
 
 def _grain(value: float) -> fmpq:
@@ -380,60 +462,16 @@ def _without_kernels(parts: Sequence[Block], grams: Sequence[Floats]) -> list[Bl
     """Bases that span only where the matrices do not vanish; None when no kernel of simple numbers is recognised."""
     result, changed = [], False
     for block, gram in zip(parts, grams, strict=True):
-        complement = _complement(gram)
-        if complement is None:
+        rows = complement(gram)
+        if rows is None:
             result.append(block)
             continue
         changed = True
         basis = []
-        for combination in complement:
+        for combination in rows:
             element = block.basis[0] * 0
             for weight, z in zip(combination, block.basis, strict=True):
                 element += z * rational(weight)
             basis.append(element)
         result.append(Block(block.multiplier, tuple(basis)))
     return result if changed else None
-
-
-def _complement(gram: Floats) -> list[list[Fraction]] | None:
-    """Rational rows that span the orthogonal complement of the kernel, or None when there is no clear kernel."""
-    size = len(gram)
-    diagonal = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    diagonal = np.where(diagonal < 1e-6 * diagonal.max(), diagonal.max(), diagonal)
-    values, vectors = np.linalg.eigh(gram / np.outer(diagonal, diagonal))
-    small = values < 1e-5 * max(values.max(), 1e-12)
-    if not small.any():
-        return None
-    if small.all():
-        return []
-    kernel = (vectors[:, small] / diagonal[:, None]).T
-    echelon, pivots = _echelon(kernel)
-    free = [k for k in range(size) if k not in pivots]
-    rows = []
-    for k in free:
-        row = [Fraction(0)] * size
-        row[k] = Fraction(1)
-        for r, pivot in enumerate(pivots):
-            simple = Fraction(float(echelon[r, k])).limit_denominator(2000)
-            if abs(float(simple) - echelon[r, k]) > 1e-3 * (1 + abs(echelon[r, k])):
-                return None
-            row[pivot] = -simple
-        rows.append(row)
-    return rows
-
-
-def _echelon(matrix: Floats) -> tuple[Floats, list[int]]:
-    """Reduced row echelon form with full pivoting, and the pivot columns."""
-    work = matrix.astype(float).copy()
-    pivots: list[int] = []
-    for r in range(len(work)):
-        remaining = np.abs(work[r:]).copy()
-        remaining[:, pivots] = 0
-        at, column = np.unravel_index(int(np.argmax(remaining)), remaining.shape)
-        work[[r, r + int(at)]] = work[[r + int(at), r]]
-        work[r] /= work[r, column]
-        for other in range(len(work)):
-            if other != r:
-                work[other] -= work[other, column] * work[r]
-        pivots.append(int(column))
-    return work, pivots

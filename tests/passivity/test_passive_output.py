@@ -161,3 +161,46 @@ def test_friction_that_is_no_constant_multiple_is_taken_into_the_structure():
     x, u = ca.SX.sym("x"), ca.SX.sym("u")
     X, slope = x + x**3, 1 + 3 * x**2
     assert _gamma_is(AffineSystem([x], [u], [-X / slope], [1 / slope], X**2 / 2), [X])
+
+
+def _planted(gamma, S, F=lambda x, y: [[-1, 1 + x**2], [-(1 + x**2), -2]], change=1.0):
+    """f = F(x) grad S and g = -F(x) grad gamma; the search does not see this F, which depends on the state."""
+    x, y, u = (ca.SX.sym(name) for name in "xyu")
+    state, rows = ca.vertcat(x, y), F(x, y)
+    matrix = ca.vertcat(*[ca.horzcat(*row) for row in rows])
+    g = -ca.mtimes(matrix, ca.gradient(gamma(x, y), state))
+    return AffineSystem([x, y], [u], ca.mtimes(matrix, ca.gradient(S(x, y), state)), [g[0], change * g[1]], S(x, y))
+
+
+CURVED = [
+    (lambda x, y: x + y**3, lambda x, y: x**2 / 2 + y**2 / 2),
+    (lambda x, y: ca.sin(x) / 2 + y, lambda x, y: x**2 / 2 + y**4 / 4 + y**2),
+    (lambda x, y: x + x * y, lambda x, y: x**2 / 2 + y**2 / 2),
+]
+
+
+@pytest.mark.parametrize(("gamma", "S"), CURVED)
+def test_a_curved_gamma_is_found_although_no_structure_gives_it(gamma, S):
+    pytest.importorskip("clarabel")
+    assert _status(_find(_planted(gamma, S))) is Status.PROVED
+
+
+@pytest.mark.parametrize(("gamma", "S"), CURVED)
+@pytest.mark.parametrize("change", [-1.0, 0.999, 1.001])
+def test_a_changed_input_matrix_leaves_that_gamma_unproved(gamma, S, change):
+    system = _planted(gamma, S, change=change)
+    given = [gamma(*ca.vertsplit(system.x))]
+    wrong = AffineSystem(system.x, system.u, system.f, system.g, system.S, gamma=given, parameters=system.parameters)
+    assert _status(_find(wrong)) is not Status.PROVED
+
+
+@pytest.mark.parametrize(("bound", "status"), [("0.6", "PROVED"), ("0.9", "REFUTED"), (None, "REFUTED")])
+def test_a_gamma_that_is_passive_on_a_part_of_the_space_is_so_where_the_domain_is_in_it(bound, status):
+    """With u = x + v, u gamma' - S' = (1 + y^2) v^2 - x y^2 v + (1 - 2 x^2) y^2, which needs 2 x^2 < 1."""
+    x, y, u = (ca.SX.sym(name) for name in "xyu")
+    domain = None if bound is None else {"x": ("-" + bound, bound), "y": (-2, 2)}
+    gamma = x + x * y**2
+    system = AffineSystem([x, y], [u], [-x, -y], [1, 0], x**2 / 2 + y**2 / 2, gamma=[gamma], domain=domain)
+    found = _find(system)
+    assert _status(found).name == status
+    assert found.claim.domain != "all x" or bound is None

@@ -18,7 +18,7 @@ from pbcgen.proof.claim import Status
 from pbcgen.symbolic.real import rational
 
 
-def _motor(target, k=1, beside=None):
+def _motor(target, k=1, beside=None, domain=None):
     """A motor with a wound field, its currents and speed; its energy is lost in the windings at rest, too.
 
     ``beside`` is a further state that nothing moves.
@@ -28,7 +28,9 @@ def _motor(target, k=1, beside=None):
     f = [-field, -armature - k * field * speed, k * field * armature - speed / 10]
     more = [] if beside is None else [beside]
     g = [[1, 0], [0, 1], [0, 0], *[[0, 0] for _ in more]]
-    system = AffineSystem([*x, *more], u, [*f, *[0 for _ in more]], g, ca.sumsqr(ca.vertcat(*x, *more)) / 2)
+    system = AffineSystem(
+        [*x, *more], u, [*f, *[0 for _ in more]], g, ca.sumsqr(ca.vertcat(*x, *more)) / 2, domain=domain
+    )
     two = [1, 1]
     law = DynamicExtension(alpha=two, beta=two, R_c=two, K_c=two)
     return Design(system, target=target, law=law, sample_period="1e-3", name="motor")
@@ -54,14 +56,28 @@ def test_a_motor_with_a_field_that_turns_has_no_output_for_its_energy():
 def test_the_verdict_says_so_and_blames_no_gradient_of_a_candidate():
     claims = {claim.claim: claim for claim in derive(_motor({"i_f": 1, "omega": 5})).claims}
     assert claims["passive-output"].status is Status.REFUTED
-    assert set(claims["passive-output"].counterexample) == {"omega", "e^T (A^2 + omega^2 I)^-1 g u*"}
+    assert set(claims["passive-output"].counterexample) == {"rest", "omega", "e^T (A^2 + omega^2 I)^-1 g u"}
     assert claims["gradient-condition"].status is not Status.REFUTED
     assert claims["asymptotically-stable"].status is Status.PROVED  # by linearisation, for the candidate
 
 
-@pytest.mark.parametrize("design", [_motor({"i_f": 1, "omega": 0}), _motor({"i_f": 1, "omega": 5}, k=0)])
-def test_a_motor_that_stands_or_turns_by_itself_is_not_refuted(design):
-    plant, point = _found(design)
+def test_another_rest_shows_it_where_the_target_does_not():
+    """A motor that stands: at x* the response is passive, and at speeds that other inputs hold it is not."""
+    plant, point = _found(_motor({"i_f": 1, "omega": 0}))
+    found = negative_response(plant, point)
+    assert found is not None
+    assert found.point.u != point.u
+    (rates,) = plant.at(found.point, plant.system.xdot)
+    assert all(abs(row[0]) < 1e-30 for row in rates)
+
+
+def test_other_rests_must_be_inside_of_the_domain():
+    plant, point = _found(_motor({"i_f": 1, "omega": 0}, domain={"omega": ("-1e-6", "1e-6")}))
+    assert negative_response(plant, point) is None
+
+
+def test_a_motor_without_a_field_in_its_torque_is_not_refuted():
+    plant, point = _found(_motor({"i_f": 1}, k=0))
     assert point is None or negative_response(plant, point) is None
 
 

@@ -118,3 +118,28 @@ def test_coefficients_that_make_a_sum_of_squares_are_proposed():
     found = sos.coefficients(base.field, base.numerator, [direction.numerator])
     assert found is not None
     assert abs(found[0]) < 1e-6
+
+
+def _completed(base, *directions):
+    field, (matrix,) = evaluate(Tape.of([X], [ca.vertcat(base, *directions)]), NAMES)
+    first, *others = [value.numerator for value in matrix.column(field.const(0))]
+    found = sos.completed(field, first, others, {})
+    assert found is None or found[0].holds(field)
+    return None if found is None else found[1]
+
+
+def test_numbers_beside_the_squares_meet_their_equations_exactly():
+    """a d has no d^2 beside it, so that its number is certain; that of a b may vary."""
+    found = _completed(A**2 + 2 * B**2 - A * D / 3, A * D, A * B)
+    assert found is not None
+    assert found[0] == Fraction(1, 3)
+
+
+def test_a_form_that_is_singular_for_every_number_is_completed():
+    """(a - b)^2 + c (a - b) (d + a) + d^2: its value at a = b, d = 0 is zero, whatever c."""
+    assert _completed((A - B) ** 2 + (A - B) * (D + A) / 7 + D**2, (A - B) * A) is not None
+
+
+@pytest.mark.parametrize("value", [A * B, A**2 - B**2, -(A**2)])
+def test_no_number_makes_squares_where_there_are_none(value):
+    assert _completed(value, C**2 - D**2) is None
