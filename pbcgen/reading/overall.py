@@ -54,7 +54,7 @@ class Overall(Family):
         """
         V = self.potential(self.field.symbols[: self.half], self.field.lift) if self.compensated else 0
         rest, gamma = self.column("S")[0] - V, self.column("gamma")
-        parts = [(self.placed[s], self.placed[t]) for s, t in witness["parts"]]
+        parts = [(self.placed[s], *self.field.continued([self.placed[t]])) for s, t in witness["parts"]]
         require(all(self.field.positive(s) for s, _ in parts), "a weight is not positive")
         rest = rest - sum((s * t * t for s, t in parts), self.field.lift(0))
         outgrown, known = [True] * self.m, set[int]()
