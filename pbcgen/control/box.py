@@ -102,6 +102,13 @@ def box_claim(
         return BoxVerdict(
             Claim("adjustable", Status.REFUTED, domain, "elimination", moving.reason, moving.hint, counterexample), None
         )
+    jump = situation.plant.jumps(situation.gamma, *([] if situation.eta is None else [situation.eta]))
+    if jump:
+        why, hint = (
+            f"gamma or eta may jump by `{jump}` at some target",
+            "give functions that have derivatives everywhere",
+        )
+        return BoxVerdict(Claim("adjustable", Status.UNDECIDED, domain, _METHOD, why, hint), None)
     box = _Box(situation, graph, design, settings, sampling)
     if not box.agrees():
         why, hint = "the explicit equilibrium is not the one that was proved for the declared target", "mend the target"

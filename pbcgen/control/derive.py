@@ -311,12 +311,11 @@ class _AtTarget:
         }
         if self.output is None:
             return numbers
-        gamma_star, eta_star = self.plant.at(
-            self.point, self.output.gamma, ca.SX(0, 1) if self.eta is None else self.eta
-        )
-        if not all(is_finite(row[0]) for row in (*gamma_star, *eta_star)):
+        eta = ca.SX(0, 1) if self.eta is None else self.eta
+        gamma_star, *others = self.plant.at(self.point, self.output.gamma, eta, system.measured_expressions)
+        if not all(is_finite(row[0]) for part in (gamma_star, *others) for row in part):
             self.obstacle = (
-                "gamma or eta has no value at x*, or jumps there",
+                "gamma, eta or a measured signal has no value at x*, or jumps there",
                 "give functions that are smooth at x*, or choose another target",
             )
             return numbers

@@ -124,6 +124,9 @@ class Measurement:
         rest = _rest(signal, weights, system.measured)
         field, (values,) = self.plant.exact(rest)
         value = values.scalar(field.const(0))
+        hidden = {k for k, state in enumerate(system.state_names) if state not in self._direct}
+        if value.symbols() & hidden:
+            return self._unreadable(signal, name)  # its slopes vanish, but it may jump, as q - atan(tan(q)) does
         affine = _affine(value.numerator.to_dict(), field.symbol_count) if value.is_polynomial() else None
         if affine is None or any(field.names[k] not in self._direct for k in affine):
             return self._with_rest(rest, weights, name)

@@ -79,3 +79,22 @@ def test_an_eta_that_jumps_is_not_damped():
     law = NaturalDamping(2, 1, 1, 1, alpha_l=1, beta_l=1, K_l=10, R_l=10)
     claims = _claims(derive(Design(plant, {"x": 1, "y": "0.5"}, law, sample_period="1e-2", near={"y": 0}, name="e")))
     assert claims["assumption-3"].status is Status.UNDECIDED
+
+
+@pytest.mark.parametrize("sensor", [ca.atan(ca.tan(q)), q + ca.atan(q) + ca.atan(1 / q), q + ca.floor(q)])
+def test_a_sensor_that_jumps_does_not_give_the_position(sensor):
+    """Its slope is one, and it is another number after a quarter turn."""
+    plant = Mechanical([q], [p], M=[1], V=q**2 / 2, D=[1], G=[1], measured={"sensor": sensor})
+    claims = _claims(derive(Design(plant, {"q": "0.3"}, LAW, sample_period="1e-2", name="wrapped")))
+    assert claims["measurability"].status is not Status.PROVED
+
+
+def test_a_sensor_that_jumps_at_the_target_is_named():
+    plant = Mechanical([q], [p], M=[1], V=q**2 / 2, D=[1], G=[1], measured={"sensor": q + ca.sign(p)})
+    claims = _claims(derive(Design(plant, {"q": "0.3"}, LAW, sample_period="1e-2", name="jumping")))
+    assert "measured signal" in claims["stable"].evidence
+
+
+def test_no_setting_is_proved_across_a_jump_of_gamma():
+    design = _body(q + ca.floor(q), spring=1).with_(target_box={"q": ("0.1", "1.5")})
+    assert _claims(derive(design))["adjustable"].status is Status.UNDECIDED
