@@ -289,7 +289,7 @@ class _Work:
         rows = M.dense(zero)
         if structure.form == "F":
             units = [[field.const(int(i == j)) for i in size] for j in size]
-            columns = [solve(rows, unit, zero) for unit in units]
+            columns = [solve([dict(enumerate(row)) for row in rows], unit, len(rows[0]), zero) for unit in units]
             if any(column is None for column in columns):
                 return []
             rows = [[column[i] for column in columns if column is not None] for i in size]

@@ -16,10 +16,11 @@ from itertools import product
 from flint import fmpq
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.symbolic.coefficients import Coefficients, Monomial
+from pbcgen.symbolic.coefficients import Coefficients
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import fraction
+from pbcgen.symbolic.terms import Powers, descending, exponents
 
 #: Systems with more unknown coefficients than this are not searched for state-dependent factors.
 _MOST_UNKNOWNS = 700
@@ -76,14 +77,15 @@ def _unique_constant(
 ) -> tuple[Factor, dict[Entry, Quotient]] | None:
     """The constant factor when the entries of the basis are independent, which leaves one at most: for any size."""
     coefficients = Coefficients(field)
-    columns = [coefficients.split(entry) for entry in basis]
-    wanted = [coefficients.split(entry) for entry in targets]
+    columns = [coefficients.split_sparsely(entry) for entry in basis]
+    wanted = [coefficients.split_sparsely(entry) for entry in targets]
     if any(split is None for split in (*columns, *wanted)):
         return None
     offered = [split for split in columns if split is not None]
     if any(v.constant() is None for split in (*columns, *wanted) for v in (split or {}).values()):
         return None  # a coefficient such as sqrt(2): the search over the field takes it
-    equations: dict[Monomial, Row] = {monomial: {} for monomial in sorted({m for split in offered for m in split})}
+    present = {powers for split in offered for powers in split}
+    equations: dict[Powers, Row] = {powers: {} for powers in sorted(present, key=descending, reverse=True)}
     for j, split in enumerate(offered):
         for monomial, value in split.items():
             equations[monomial][j] = _number(value)
@@ -154,31 +156,32 @@ def _matching_rows(
     With a ``pattern`` every other unknown is zero.
     """
     coefficients = Coefficients(field, parameters)
-    products: dict[tuple[int, int], dict[Monomial, Quotient]] = {}
+    products: dict[tuple[int, int], dict[Powers, Quotient]] = {}
     for j, k in product(range(len(basis)), range(len(multipliers))):
-        split = coefficients.split(basis[j] * multipliers[k])
+        split = coefficients.split_sparsely(basis[j] * multipliers[k])
         if split is None:
             return None
         products[j, k] = split
-    by_monomial: dict[Monomial, dict[tuple[int, int], Quotient]] = {}
+    by_monomial: dict[Powers, dict[tuple[int, int], Quotient]] = {}
     for at, terms in products.items():
         for monomial, value in terms.items():
             by_monomial.setdefault(monomial, {})[at] = value
-    within: list[set[Monomial]] | None = None if pattern is None else [set() for _ in targets]
+    within: list[set[Powers]] | None = None if pattern is None else [set() for _ in targets]
     for i, j, k in pattern or ():
         if within is not None:
             within[i].update(products[j, k])
     rows: list[Row] = []
     remainder = []
     for i, target in enumerate(targets):
-        split = coefficients.split(target)
+        split = coefficients.split_sparsely(target)
         if split is None:
             return None
         beyond = {m: c for m, c in split.items() if m not in by_monomial}
         if beyond and not remainder_allowed:
             return None
         remainder.append(-_recombine(field, beyond))
-        for monomial in sorted(by_monomial if within is None else {*split, *within[i]} - beyond.keys()):
+        chosen = by_monomial if within is None else {*split, *within[i]} - beyond.keys()
+        for monomial in sorted(chosen, key=descending, reverse=True):
             row: Row = {
                 (i, j, k): value
                 for (j, k), value in by_monomial[monomial].items()
@@ -191,10 +194,11 @@ def _matching_rows(
     return rows, remainder
 
 
-def _recombine(field: Field, terms: dict[Monomial, Quotient]) -> Quotient:
+def _recombine(field: Field, terms: dict[Powers, Quotient]) -> Quotient:
     total = field.const(0)
     for monomial, coefficient in terms.items():
-        total = total + field.polynomial(field.context.from_dict({monomial: fmpq(1)})) * coefficient
+        power_product = field.context.from_dict({exponents(monomial, field.context.nvars()): fmpq(1)})
+        total = total + field.polynomial(power_product) * coefficient
     return total
 
 

@@ -90,7 +90,8 @@ def _solve(plant: Plant, matrix: ca.SX, right: ca.SX) -> ca.SX | None:
         except (UnsupportedOperation, ZeroDivisionError):
             return None
         zero = field.const(0)
-        solutions = [solve(left_values.dense(zero), column, zero) for column in columns(right_values, zero)]
+        rows, size = left_values.rows(), left_values.shape[1]
+        solutions = [solve(rows, column, size, zero) for column in columns(right_values, zero)]
         if all(solution is not None for solution in solutions):
             sx = [ca.vertcat(*[plant.expression(v) for v in s]) for s in solutions if s is not None]
             return ca.sparsify(ca.horzcat(*sx))

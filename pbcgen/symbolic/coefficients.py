@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from flint import fmpq, fmpq_mpoly
 
 from pbcgen.symbolic.field import Field, Quotient
-from pbcgen.symbolic.terms import Powers, terms
+from pbcgen.symbolic.terms import Powers, exponents, terms
 
 #: The exponents of all indeterminates, by position.
 Monomial = tuple[int, ...]
@@ -49,7 +49,7 @@ class Coefficients:
         if found is None:
             return None
         size = self.field.context.nvars()
-        return {_exponents(powers, size): coefficient for powers, coefficient in found.items()}
+        return {exponents(powers, size): coefficient for powers, coefficient in found.items()}
 
     def split_sparsely(self, function: Quotient) -> dict[Powers, Quotient] | None:
         """Coefficient by the powers of a monomial, or None when the denominator depends on the state."""
@@ -67,12 +67,5 @@ class Coefficients:
         context = self.field.context
         if group.keys() == {()}:
             return self.field.quotient(context.constant(group[()]), denominator)
-        monomials = {_exponents(powers, context.nvars()): coefficient for powers, coefficient in group.items()}
+        monomials = {exponents(powers, context.nvars()): coefficient for powers, coefficient in group.items()}
         return self.field.quotient(context.from_dict(monomials), denominator)
-
-
-def _exponents(powers: Powers, size: int) -> Monomial:
-    exponents = [0] * size
-    for k, e in powers:
-        exponents[k] = e
-    return tuple(exponents)

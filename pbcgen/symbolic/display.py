@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Iterable
 from fractions import Fraction
 
@@ -12,10 +11,8 @@ from flint import fmpq, fmpq_mpoly
 from pbcgen.symbolic.coefficients import Coefficients
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import fraction, rational
-from pbcgen.symbolic.terms import Powers, terms
+from pbcgen.symbolic.terms import Powers, descending, terms
 
-#: After the indeterminates of a term: later than any of them.
-_END = (sys.maxsize, 0)
 #: A ratio of numbers below this is shown as one, else as a decimal.
 _SHORT = 1000
 
@@ -55,7 +52,7 @@ class _Printer:
         groups = self.coefficients.split_sparsely(function)
         if groups is None:
             return self._ratio(function.numerator, function.denominator)
-        shown = [self._term(groups[state], self._power_product(state)) for state in sorted(groups, key=_descending)]
+        shown = [self._term(groups[state], self._power_product(state)) for state in sorted(groups, key=descending)]
         text = shown[0]
         for term in shown[1:]:
             text += f" - {term[1:]}" if term.startswith("-") else f" + {term}"
@@ -115,7 +112,7 @@ class _Printer:
 
     def _sum(self, polynomial: fmpq_mpoly) -> str:
         shown = []
-        for powers, coefficient in sorted(terms(polynomial), key=lambda term: _descending(term[0])):
+        for powers, coefficient in sorted(terms(polynomial), key=lambda term: descending(term[0])):
             product = self._power_product(powers)
             value = fraction(coefficient)
             if not product:
@@ -128,11 +125,6 @@ class _Printer:
 
     def _power_product(self, powers: Powers) -> str:
         return "*".join(self.generator(k) if e == 1 else f"{self.generator(k)}^{e}" for k, e in powers)
-
-
-def _descending(powers: Powers) -> tuple[tuple[int, int], ...]:
-    """Sorts as the vectors of all exponents do, the greatest first."""
-    return (*((k, -e) for k, e in powers), _END)
 
 
 def _outside(text: str) -> str:

@@ -150,11 +150,11 @@ def kernel(rows: Iterable[Mapping[Any, Any]], size: int, zero: Any, one: Any) ->
     return [[vector.get(k, zero) for k in range(size)] for vector in sparse_kernel(rows, size, one)]
 
 
-def solve(matrix: list[list[Any]], right: list[Any], zero: Any) -> list[Any] | None:
-    """A solution of ``matrix x = right`` over the field (free unknowns zero), or None if there is none."""
-    rows: list[Row] = [{**dict(enumerate(row)), CONSTANT: -value} for row, value in zip(matrix, right, strict=True)]
+def solve(rows: Iterable[Mapping[Any, Any]], right: Iterable[Any], size: int, zero: Any) -> list[Any] | None:
+    """A solution of ``rows x = right`` over the field, x of this size and free unknowns zero; None if there is none."""
+    equations: list[Row] = [{**row, CONSTANT: -value} for row, value in zip(rows, right, strict=True)]
     try:
-        values = particular_solution(reduce_rows(rows), zero)
+        values = particular_solution(reduce_rows(equations), zero)
     except Inconsistent:
         return None
-    return [values.get(k, zero) for k in range(len(matrix[0]))]
+    return [values.get(k, zero) for k in range(size)]

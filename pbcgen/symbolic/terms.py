@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from typing import TypeAlias
 
@@ -9,6 +10,9 @@ from flint import fmpq, fmpq_mpoly
 
 #: The indeterminates of a term with their exponents, by position; those with exponent zero are left out.
 Powers: TypeAlias = tuple[tuple[int, int], ...]
+
+#: After the indeterminates of a term: later than any of them.
+_END = (sys.maxsize, 0)
 
 
 def terms(polynomial: fmpq_mpoly) -> Iterator[tuple[Powers, fmpq]]:
@@ -20,3 +24,16 @@ def terms(polynomial: fmpq_mpoly) -> Iterator[tuple[Powers, fmpq]]:
     for i in range(len(polynomial)):
         exponents = polynomial.monomial(i)
         yield tuple((k, int(e)) for k, e in enumerate(exponents) if e), polynomial.coefficient(i)
+
+
+def exponents(powers: Powers, size: int) -> tuple[int, ...]:
+    """The exponents of ``size`` indeterminates."""
+    found = [0] * size
+    for k, e in powers:
+        found[k] = e
+    return tuple(found)
+
+
+def descending(powers: Powers) -> tuple[tuple[int, int], ...]:
+    """A key that sorts as the vectors of all exponents do, the greatest first."""
+    return (*((k, -e) for k, e in powers), _END)
