@@ -15,6 +15,7 @@ from pbcgen.symbolic.linear import (
     particular_solution,
     reduce_rows,
     solve,
+    sparse_kernel,
 )
 
 _numbers = st.integers(-4, 4).map(fmpq)
@@ -35,7 +36,7 @@ def test_what_all_solutions_share_is_determined():
 @given(st.integers(1, 4).flatmap(lambda n: st.tuples(*[st.lists(_numbers, min_size=n + 1, max_size=n + 1)] * n)))
 def test_a_solution_solves_and_no_solution_means_singular(rows):
     matrix, right = [list(r[:-1]) for r in rows], [r[-1] for r in rows]
-    solution = solve(matrix, right, fmpq(0))
+    solution = solve([dict(enumerate(row)) for row in matrix], right, len(matrix[0]), fmpq(0))
     if solution is None:
         from flint import fmpq_mat
 
@@ -65,3 +66,11 @@ def test_a_kernel_is_all_that_the_rows_annihilate(rows):
     assert all(sum(a * b for a, b in zip(row, vector, strict=True)) == 0 for row in rows for vector in basis)
     assert len(basis) == 4 - (fmpq_mat(rows).rank() if rows else 0)
     assert not basis or fmpq_mat(basis).rank() == len(basis)
+
+
+def test_a_sparse_kernel_holds_the_nonzero_entries_of_a_kernel():
+    rows = [{0: fmpq(1), 2: fmpq(-2)}, {1: fmpq(3), 2: fmpq(1), 3: fmpq(0)}]
+    found = sparse_kernel(rows, 5, fmpq(1))
+    assert [sorted(vector) for vector in found] == [[0, 1, 2], [3], [4]]
+    assert all(sum(c * vector.get(k, 0) for k, c in row.items()) == 0 for vector in found for row in rows)
+    assert kernel(rows, 5, fmpq(0), fmpq(1)) == [[vector.get(k, 0) for k in range(5)] for vector in found]
