@@ -28,8 +28,6 @@ from pbcgen.symbolic.real import BITS, ZERO, Real, approximate, is_finite, lower
 
 #: More inputs are not looked at.
 _MOST_INPUTS = 6
-#: Longer divisors are not looked at.
-_LARGEST_DIVISOR = 40
 #: Boxes of the branch and bound over all ends, and places looked at for a way out of each end.
 _BOXES, _PLACES = 3000, 81
 
@@ -42,8 +40,7 @@ def is_kept(situation: Situation) -> bool:
     budget = Budget(_BOXES)
     try:
         field, _ = plant.exact(plant.system.f, plant.system.g, plant.system.S, situation.gamma)
-        long = any(len(divisor.numerator) > _LARGEST_DIVISOR for divisor in field.divisors.values())
-        if long or undefined(field, region.prover(budget), plant.system.n):
+        if undefined(field, region.prover(budget), plant.system.n):
             return False
         return all(_points_inside(situation, region, *end, budget) for end in _ends(region))
     except (UnsupportedOperation, ZeroDivisionError):

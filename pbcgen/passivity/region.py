@@ -8,6 +8,7 @@ from fractions import Fraction
 
 import casadi as ca
 
+from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.exact import decimal
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.branch import Budget, OnBox
@@ -24,6 +25,7 @@ Interval = tuple[Fraction | None, Fraction | None]
 _POSITIVE_ARGUMENT = frozenset({"log", "sqrt"})
 #: Arguments of these must lie in (-1, 1).
 _UNIT_ARGUMENT = frozenset({"asin", "acos", "atanh"})
+#: Whether divisors of more terms vanish somewhere is not looked at.
 _LARGEST_DIVISOR = 40
 
 
@@ -105,9 +107,10 @@ def undefined(field: Field, prover: Prover, states: int) -> list[str]:
     one = field.const(1)
     open_conditions = []
     for divisor in field.divisors.values():
-        if not any(k < states for k in divisor.symbols()) or len(divisor.numerator) > _LARGEST_DIVISOR:
+        if not any(k < states for k in divisor.symbols()):
             continue
-        if not (prover.positive(divisor) or prover.positive(-divisor)):
+        long = len(divisor.numerator) > _LARGEST_DIVISOR
+        if long or not (prover.positive(divisor) or prover.positive(-divisor)):
             open_conditions.append("a divisor")
     for atom in field.atoms.values():
         argument = atom.argument
@@ -120,3 +123,17 @@ def undefined(field: Field, prover: Prover, states: int) -> list[str]:
         if atom.kind == "acosh" and not prover.positive(argument - one):
             open_conditions.append("the argument of acosh")
     return open_conditions
+
+
+def has_poles(plant: Plant, prover: Prover, *parts: ca.SX) -> bool:
+    """Whether functions of the state are not proved to be defined and smooth wherever the prover speaks of."""
+    try:
+        field, _ = plant.exact(*parts)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return False
+    return bool(undefined(field, prover, plant.system.n))
+
+
+def where_defined(domain: str) -> str:
+    """The domain of a claim without the states at which the model has no value."""
+    return f"{domain} where the model is defined"

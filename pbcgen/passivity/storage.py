@@ -15,12 +15,12 @@ import casadi as ca
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.construction import derivative_is_rounded
 from pbcgen.passivity.plant import Plant
-from pbcgen.passivity.region import Region, search, undefined
+from pbcgen.passivity.region import Region, has_poles, search, where_defined
 from pbcgen.passivity.smooth import smooth_forms
 from pbcgen.passivity.structure import PowerStructure, StructureProof, power_structure, prove
 from pbcgen.proof.branch import Budget, Formula, nonnegative_on_box, zero_set
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.nonnegative import Prover, nonnegative
+from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.proof.refute import Search
 from pbcgen.proof.sos import squares_tried, sum_of_squares
 from pbcgen.symbolic.field import Quotient
@@ -57,15 +57,11 @@ class Storage:
         return self.claim.status is Status.PROVED
 
 
-#: Operations that make a function jump; its derivative, as CasADi takes it, is silent about that.
-_JUMPING = ("if_else_zero", "floor", "ceil", "sign", "copysign", "fmod", "remainder", "lt", "le", "eq", "ne", "not_")
-
-
 def assumption_1(plant: Plant) -> Storage:
     """Prove, refute or leave open that the storage is nonincreasing for u = 0."""
-    tape = plant.tape(plant.system.S)
-    if any(tape.uses(name) for name in _JUMPING):
-        evidence = "S contains a comparison, a rounding or a sign, so it may jump, and its derivative does not show it"
+    jump = plant.jumps(plant.system.S)
+    if jump:
+        evidence = f"S contains the operation `{jump}`, so it may jump, and its derivative does not show it"
         hint = f"write a smooth storage: {smooth_forms(plant) or 'without comparisons and roundings'}"
         return Storage(Claim("assumption-1", Status.UNDECIDED, "all x", "operations of S", evidence, hint), None)
     rounded = derivative_is_rounded(plant.system)
@@ -183,24 +179,20 @@ def _by_structure(structure: PowerStructure, region: Region) -> Claim:
 
 def _where_defined(plant: Plant, storage: Storage) -> Storage:
     """The verdict with a smaller domain when the formulas are not proved to be defined on all of it."""
-    region = storage.region or Region.whole(plant)
-    if not _conditions(plant, region.prover(Budget(_BOXES // 4))):
+    region, stated = storage.region or Region.whole(plant), Region.stated(plant)
+    if not _has_poles(plant, region):
         return storage
-    stated = Region.stated(plant)
     claim = storage.claim
-    if region.is_whole and not stated.is_whole and not _conditions(plant, stated.prover(Budget(_BOXES // 4))):
+    if region.is_whole and not stated.is_whole and not _has_poles(plant, stated):
         return replace(storage, claim=replace(claim, domain=stated.text), region=stated)
-    return replace(storage, claim=replace(claim, domain=f"{claim.domain} where the model is defined"))
+    return replace(storage, claim=replace(claim, domain=where_defined(claim.domain)))
 
 
-def _conditions(plant: Plant, prover: Prover) -> list[str]:
-    """What is not proved about the formulas being defined; M(q) > 0 of mechanical systems is a premise of theirs."""
+def _has_poles(plant: Plant, region: Region) -> bool:
+    """Whether the formulas are not proved to be defined; M(q) > 0 of mechanical systems is a premise of theirs."""
     system = plant.system
-    try:
-        field, _ = plant.exact(system.g if system.mechanical is not None else ca.vertcat(system.f, system.S))
-    except (UnsupportedOperation, ZeroDivisionError):
-        return []
-    return undefined(field, prover, system.n)
+    parts = (system.g,) if system.mechanical is not None else (system.f, system.S)
+    return has_poles(plant, region.prover(Budget(_BOXES // 4)), *parts)
 
 
 def _refuted(plant: Plant, region: Region, search: Search) -> Claim:
