@@ -13,7 +13,7 @@ from pbcgen.symbolic.plain.boxes import shown
 from pbcgen.symbolic.plain.elimination import Elimination, slopes
 from pbcgen.symbolic.plain.formulas import Formulas, rational
 from pbcgen.symbolic.plain.matrices import Matrix, dot, plus
-from pbcgen.symbolic.plain.outcomes import Malformed, require
+from pbcgen.symbolic.plain.outcomes import Malformed, NotCheckable, require
 from pbcgen.symbolic.plain.values import AT_ZERO, INCREASING, Dual, never_negative, partial, plain
 
 _AMPLITUDES = ("alpha", "alpha_c", "alpha_l", "alpha_psi", "k_p")
@@ -86,6 +86,7 @@ class Sums(System):
         """The matrix is the sum of squares of a witness or of a part of it, on the domain of the claim."""
         rest = self.without_squares(matrix, claim, (self.witness[claim] if part is None else part)["squares"])
         self.zero([v for row in rest for v in row], "the squares do not add up to what they stand for")
+        require(self.defined or self.domain[claim] != "all x", "the model may have poles", NotCheckable)
 
     def _factor(self, claim: str, kind: str, a: int, b: Any, alone: bool) -> Any:
         """A function without negative values.

@@ -106,7 +106,7 @@ class System:
         Conditions of the target are left out: nothing asks that they are defined elsewhere than at x*.
         """
         found = self.moving(variables(self.field.symbols[: self.n]), self.still, aim=False)
-        self.field.closed = True
+        self.field.closed, self.defined = True, self.field.entire(moduli=True)
         return found
 
     @cached_property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,12 +59,11 @@ def bits_for(states: int, without: object = True) -> int:
 
 def find(system: Stability, claim: str, status: str) -> Finding:
     """Check one claim."""
-    check: Callable[[], None] | None = getattr(system, f"{status.lower()}_{claim.replace('-', '_')}", None)
+    check: Any = getattr(system, f"{status.lower()}_{claim.replace('-', '_')}", None)
     if status == "UNDECIDED":
         return Finding(claim, status, "open")
     try:
-        if check is None:
-            raise Fails("there is no such claim")
+        require(check, "there is no such claim")
         require(system.reaches(claim), "the claim is not made for this domain")
         if claim in _LOOP:
             system.closes()

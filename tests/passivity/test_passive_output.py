@@ -204,3 +204,11 @@ def test_a_gamma_that_is_passive_on_a_part_of_the_space_is_so_where_the_domain_i
     found = _find(system)
     assert _status(found).name == status
     assert found.claim.domain != "all x" or bound is None
+
+
+def test_a_gamma_with_a_pole_serves_where_it_is_defined():
+    x, u = ca.SX.sym("x"), ca.SX.sym("u")
+    for gamma, domain in ((x, "all x"), (x + ca.atan(1 / x) + ca.atan(x), "all x where the model is defined")):
+        found = _find(AffineSystem([x], [u], [-x], [1], x**2 / 2, gamma=[gamma]))
+        assert _status(found) is Status.PROVED
+        assert found.claim.domain == domain

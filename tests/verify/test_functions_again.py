@@ -137,3 +137,24 @@ def test_a_gamma_that_jumps_shows_nothing():
     assert outcomes(smooth)["passive-output"] == "checked"
     found = outcomes(forged(smooth, design(x + ca.sign(x - 1) / 2)))
     assert "checked" not in {found["passive-output"], found["measurability"], found[GLOBAL]}
+
+
+def test_a_storage_with_poles_shows_nothing_of_the_whole_space():
+    """The angle jumps where the pole of the half angle is; the motion turns through it."""
+    x, y, u, v = (ca.SX.sym(name) for name in "xyuv")
+
+    def design(angle):
+        S = (x**2 + y**2) / 2 + angle / 4
+        system = AffineSystem([x, y], [u, v], [-x + y, -y - x], [[1, 0], [0, 1]], S, gamma=[x, y])
+        return Design(
+            system, {"x": 1, "y": 0}, DynamicExtension([5, 5], [1, 1], 1, 1), sample_period="1e-2", name="turn"
+        )
+
+    document = _document(design(2 * ca.atan(y / (ca.sqrt(x**2 + y**2) + x))))
+    stated = next(e for e in document["claims"] if e["claim"] == "assumption-1")
+    assert (stated["status"], stated["domain"]) == ("PROVED", "all x where the model is defined")
+    assert outcomes(document)["assumption-1"] == "checked"
+    stated["domain"] = "all x"
+    for claimed in (signed(document), forged(document, design(ca.atan2(y, x)))):
+        assert outcomes(claimed)["assumption-1"] != "checked"
+    assert derive(design(ca.atan2(y, x))).claims[2].status.name == "UNDECIDED"
