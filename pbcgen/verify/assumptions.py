@@ -122,6 +122,7 @@ class Assumptions(Overall):
 
     def proved_gradient_condition(self) -> None:
         """``grad S + grad gamma kappa = 0`` at x*: exactly, or because ``f + g u = 0`` leaves nothing else."""
+        require(not {1, -1} & {sign(v) for v in self.shaped[0]}, "the gradient is not zero")
         if all(sign(v) == 0 for v in self.shaped[0]):
             return
         drift_first = self.witness["gradient-condition"]["form"] == "F"

@@ -54,9 +54,8 @@ class Stability(Assumptions):
         self.lyapunov(least=False)
         slope = [*map(rational, witness["slope"])]
         flat = {sign(v + dot(c, slope)) for v, c in zip(self.shaped[0], transpose(C), strict=True)}
-        if any(slope):
-            require(flat == {0}, "the gradient may not vanish on the leaf of x*")
-        else:
+        if flat != {0}:
+            require(not any(slope), "the gradient may not vanish on the leaf of x*")
             self.once(self.proved_gradient_condition)
         H = self.hessian_d if "passive-output" in self.law else self.hessian_dc
         wide = [row + [fmpq(0)] * (len(H) - self.n) for row in C]
