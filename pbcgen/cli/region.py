@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isinf
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -77,10 +78,8 @@ def _show(console: Console, name: str, found: Region, ellipsoid: Ellipsoid | Non
         for state, (lo, hi) in found.box.items():
             console.print(f"  {state} in [{lo:.6g}, {hi:.6g}]", highlight=False)
         console.print()
-        console.print(
-            "From every state of this box whose height V - V(x*), the filters counted, is within the level, the law in "
-            "continuous time settles at x*.",
-            highlight=False,
-        )
+        within = "" if isinf(found.level) else " whose height V - V(x*), the filters counted, is within the level"
+        settles = f"From every state of this box{within}, the law in continuous time settles at x*."
+        console.print(settles, highlight=False)
         where = "inside" if starts else "not inside; it may settle all the same"
         console.print(f"The initial state of the design, with the filters at zero, is {where}.", highlight=False)

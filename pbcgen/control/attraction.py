@@ -25,6 +25,7 @@ from pbcgen.control.derive import Derivation
 from pbcgen.control.landscape import Landscape
 from pbcgen.control.situation import Situation
 from pbcgen.control.stability import LYAPUNOV
+from pbcgen.passivity.region import Region as Domain
 from pbcgen.passivity.shaping import shape_at
 from pbcgen.proof.boxes import Box, halves, lengths, longest_side
 from pbcgen.proof.claim import Status
@@ -48,7 +49,7 @@ class Region:
 
     Attributes:
         status: PROVED, or UNDECIDED when nothing was certified within the budget.
-        level: the height c - V(x*) of the level set above the minimum; infinite for the whole space.
+        level: the height c - V(x*) of the level set above the minimum; infinite for the whole space or domain.
         box: half-open bounds of the box X by state name, empty for the whole space; of momenta about what the level
             allows in X.
         evidence: what was done.
@@ -72,6 +73,8 @@ class Region:
         if not self.box:
             return True
         inside = all(lo <= v <= hi for v, (lo, hi) in zip(x, self.box.values(), strict=True))
+        if np.isinf(self.level):
+            return inside
         height = self.height_at_zero if at_zero else self.height
         return inside and height is not None and height(x) <= self.level * (1 - 1e-9)
 
@@ -80,7 +83,7 @@ class Region:
         return {
             "status": str(self.status),
             "level": self.level if np.isfinite(self.level) else None,
-            "box": {name: list(bounds) for name, bounds in self.box.items()},
+            "box": {name: [v if np.isfinite(v) else None for v in bounds] for name, bounds in self.box.items()},
             "evidence": self.evidence,
         }
 
@@ -134,9 +137,18 @@ def attracted_level_set(
     if found.situation is None:
         return None
     claims = {c.claim: c for c in found.claims}
+    overall, stated = claims["globally-asymptotically-stable"], Domain.stated(found.plant)
+    if overall.status is Status.PROVED and not stated.is_whole and overall.domain == stated.text:
+        return _kept(stated)
     by_lyapunov = claims["stable"].method == LYAPUNOV
-    everywhere = claims["globally-asymptotically-stable"].holds_everywhere
-    return region_of_attraction(found.situation, by_lyapunov, everywhere, boxes, progress)
+    return region_of_attraction(found.situation, by_lyapunov, overall.holds_everywhere, boxes, progress)
+
+
+def _kept(stated: Domain) -> Region:
+    """The whole domain, which no trajectory leaves."""
+    ends = ((-np.inf if lo is None else float(lo), np.inf if hi is None else float(hi)) for lo, hi in stated.bounds)
+    box = dict(zip(stated.names, ends, strict=True))
+    return Region(Status.PROVED, float("inf"), box, f"x* attracts from all of the domain, {stated.text}")
 
 
 def _none(why: str) -> Region:

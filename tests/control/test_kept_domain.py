@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical, Parameters
+from pbcgen.control.attraction import attracted_level_set
 from pbcgen.control.derive import derive
 from pbcgen.control.kept_domain import is_kept
 from pbcgen.sampling.common_storage import Array
@@ -87,3 +88,13 @@ def test_the_tanks_stay_where_it_is_proved():
             x = x + 0.01 * np.array(rate(x, generator.choice([0.0, 2.0]))).ravel()
             assert np.all(x >= 0)
             assert np.all(x <= [5, 3])
+
+
+def test_the_region_of_attraction_is_the_whole_domain():
+    found, claim = _claim(KEPT["tanks that do not run over"][0])
+    region = attracted_level_set(found)
+    assert claim.domain == "h1 in [0, 5], h2 in [0, 3]"
+    assert region.box == {"h1": (0, 5), "h2": (0, 3)}
+    assert region.contains([0, 3], at_zero=True)
+    assert not region.contains([0, 3.001])
+    assert region.as_json()["level"] is None
