@@ -61,40 +61,37 @@ _Matrix: TypeAlias = list[list[fmpq]]
 _Array: TypeAlias = NDArray[np.float64]
 
 
-def absolutely_stable(situation: Situation) -> tuple[str, dict[str, Any]] | None:
-    """Why x* attracts from everywhere, in words, and for a certificate; or None."""
-    system = situation.plant.system
-    if situation.compensation is not None or system.domain or system.n + system.m > _MOST:
+def sectors(situation: Situation) -> SectorLoop | None:
+    """The loop as polynomials, or None where it is none, or too large."""
+    if situation.compensation is not None or situation.plant.system.n + situation.plant.system.m > _MOST:
         return None
     try:
         loop = SectorLoop.of(situation)
     except (UnsupportedOperation, ZeroDivisionError):
         return None
-    found = None if loop is None or loop.order > _MOST or loop.size > _LARGEST else storage_of(loop)
-    if loop is None or found is None:
+    return None if loop is None or loop.order > _MOST or loop.size > _LARGEST else loop
+
+
+def absolutely_stable(situation: Situation, loop: SectorLoop) -> tuple[str, dict[str, Any]] | None:
+    """Why x* attracts from everywhere, in words, and for a certificate; or None."""
+    found = None if situation.plant.system.domain else storage_of(loop)
+    if found is None:
         return None
     terms = ["a positive definite quadratic form of x - x* and the filters' states"]
     terms += ["integrals of what is in the sectors"] if any(found.popov) else []
     terms += ["cosh(beta_psi psi)"] if found.integral else []
     why = f"V = {' and '.join(terms)}: V' < 0 but at x*, whatever is in the sectors a_i <= phi_i / z_i <= b_i"
-    simple = isinstance(situation.base, DynamicExtension) and len(loop.sectors) == system.m and not _unseen(loop)
+    channels = situation.plant.system.m
+    simple = isinstance(situation.base, DynamicExtension) and len(loop.sectors) == channels and not _unseen(loop)
     return why, found.written() if simple else {}
 
 
-def far_oscillation(situation: Situation) -> str:
+def far_oscillation(loop: SectorLoop) -> str:
     """Numeric evidence that large motions may not decay, in words; empty where there is none.
 
     In a large motion a saturation acts like a share of its slope at zero (a describing function). A linear loop with
     such slopes that grows and turns suggests a limit cycle around x*.
     """
-    if situation.compensation is not None or situation.order > _MOST + 1:
-        return ""
-    try:
-        loop = SectorLoop.of(situation)
-    except (UnsupportedOperation, ZeroDivisionError):
-        return ""
-    if loop is None:
-        return ""
     for share in _SHARES:
         A = _linear(loop, share)
         values = np.linalg.eigvals(A)

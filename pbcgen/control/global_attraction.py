@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import casadi as ca
 
-from pbcgen.control.absolute import METHOD, absolutely_stable, far_oscillation
+from pbcgen.control.absolute import METHOD, absolutely_stable, far_oscillation, sectors
 from pbcgen.control.escape import growth_rate
 from pbcgen.control.kept_domain import is_kept, way_out
 from pbcgen.control.only_rest import only_rest, storage_is_convex
@@ -53,11 +53,12 @@ def globally(situation: Situation, by_lyapunov: bool, asymptotic: Claim, stored:
     rate = growth_rate(situation)
     if rate is not None:
         return _escaping(rate)
-    absolute = absolutely_stable(situation)
+    loop = sectors(situation)
+    absolute = None if loop is None else absolutely_stable(situation, loop)
     if absolute is not None:
         why, numbers = absolute
         return replace(_verdict(Status.PROVED, METHOD, why), certificate=numbers)
-    doubt = far_oscillation(situation)
+    doubt = "" if loop is None else far_oscillation(loop)
     hint = f"simulate from far away; {proved_or_open.hint}" if doubt else proved_or_open.hint
     return replace(proved_or_open, evidence="; ".join(filter(None, [proved_or_open.evidence, doubt])), hint=hint)
 

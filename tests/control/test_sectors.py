@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 
 import pbcgen
 from pbcgen import AffineSystem, Design, DynamicExtension, NaturalDamping, Parameters
-from pbcgen.control.absolute import METHOD, absolutely_stable, far_oscillation
+from pbcgen.control.absolute import METHOD, absolutely_stable, far_oscillation, sectors
 from pbcgen.control.derive import derive
 from pbcgen.models.laws import NaturalDamping as Natural
 from pbcgen.proof.claim import Status
@@ -93,7 +93,7 @@ def test_it_is_proved_and_far_starts_settle(name):
     found = derive(PROVED[name])
     claim = next(c for c in found.claims if c.claim == "globally-asymptotically-stable")
     assert claim.status is Status.PROVED
-    assert claim.method == METHOD or absolutely_stable(found.situation)
+    assert claim.method == METHOD or absolutely_stable(found.situation, sectors(found.situation))
     loop, star, n, filters = _loop(found)
     generator = np.random.default_rng(0)
     for scale in (3.0, 30.0):
@@ -118,7 +118,8 @@ REFUSED = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_sectors_do_not_show_is_refused(name):
     found = derive(REFUSED[name])
-    assert found.situation is None or absolutely_stable(found.situation) is None
+    loop = found.situation and sectors(found.situation)
+    assert loop is None or absolutely_stable(found.situation, loop) is None
 
 
 def test_a_limit_cycle_far_away_is_suspected_where_saturations_give_less():
@@ -132,4 +133,4 @@ def test_a_limit_cycle_far_away_is_suspected_where_saturations_give_less():
 
 @pytest.mark.parametrize("name", PROVED)
 def test_none_is_suspected_where_it_is_proved(name):
-    assert not far_oscillation(derive(PROVED[name]).situation)
+    assert not far_oscillation(sectors(derive(PROVED[name]).situation))
