@@ -288,7 +288,7 @@ def _supplied(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str,
     if "x" not in found:  # the response at a frequency, which the checker has no means for
         return None
     if plant.system.gamma is not None:
-        return {"x": [str(found["x"][name]) for name in (*plant.system.state_names, *plant.system.input_names)]}
+        return _state_and_input(derivation, claim, terms)
     shown = obstruction(plant)
     if shown is None or shown.by_jets:
         return None
@@ -305,18 +305,14 @@ def _state(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, An
     return {"x": [str(point[name]) for name in derivation.plant.system.state_names]}
 
 
+def _state_and_input(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
+    point, system = (claim.counterexample or {})["x"], derivation.plant.system
+    return {"x": [str(point[name]) for name in (*system.state_names, *system.input_names)]}
+
+
 def _blind(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
     direction = (claim.counterexample or {})["direction"]
     return {"v": [str(direction[name]) for name in derivation.plant.system.state_names]}
-
-
-def _theta(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
-    found, parts = claim.counterexample or {}, ("eta'", "y", "x_l'")
-    if isinstance(x := found.get("x"), Mapping):  # a state and an input
-        system = derivation.plant.system
-        return {"x": [str(x[name]) for name in (*system.state_names, *system.input_names)]}
-    direction = {"v": [str(v) for part in parts for v in found[part]]} if found.keys() >= set(parts) else None
-    return None if direction is None else direction | (theta_damping(derivation, terms) or {})
 
 
 _Maker = Callable[[Derivation, Claim, Writing], dict[str, Any] | None]
@@ -336,6 +332,6 @@ _REFUTED: Mapping[str, _Maker] = {
     "hessian-condition": _direction(lambda d: _hessian(d, False)),
     "kc-bound": _direction(lambda d: _hessian(d, True)),
     "gain-definiteness": _gain,
-    "theta": _theta,
+    "theta": _state_and_input,
     "measurability": _blind,
 }

@@ -12,7 +12,7 @@ from pbcgen.certify.signs import Boxes, by_sign
 from pbcgen.certify.writing import Writing
 from pbcgen.control.derive import Derivation
 from pbcgen.models.laws import NaturalDamping, base_law
-from pbcgen.passivity.dissipation import constant_part, is_diagonal, port_damping
+from pbcgen.passivity.dissipation import constant_part, port_damping
 from pbcgen.passivity.plant import Plant, columns, dot
 from pbcgen.passivity.region import Region
 from pbcgen.passivity.structure import PowerStructure
@@ -24,7 +24,7 @@ from pbcgen.proof.sos import find as find_squares
 from pbcgen.proof.squares import Leaf, Square, decompose, decompose_matrix, of_programme
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.real import Real, midpoint
-from pbcgen.symbolic.real_matrices import RealMatrix, congruence, dense, diagonal, inverse, transpose, weighted_sum
+from pbcgen.symbolic.real_matrices import RealMatrix, congruence, dense, diagonal, transpose, weighted_sum
 from pbcgen.symbolic.tape import Tape
 
 #: Boxes for the formula of the model itself.
@@ -184,20 +184,17 @@ def natural_damping(derivation: Derivation, terms: Writing) -> Witness:
 
 
 def carrying_damping(derivation: Derivation) -> RealMatrix | None:
-    """Lambda for `theta` where the diagonal one of Assumption 3 does not decide it; else None.
+    """Lambda for `theta` where the diagonal one of Assumption 3 does not show it; else None.
 
-    REFUTED: the largest Lambda. PROVED: what K_l and R_l ask for, which the dissipation then exceeds, with something of
-    the diagonal Lambda and some of K_l R_l to spare where there is any.
+    It is what K_l and R_l ask for, which the dissipation then exceeds, with something of the diagonal Lambda and some
+    of K_l R_l to spare where there is any.
     """
     bounds, law = derivation.bounds, base_law(derivation.law)
     claim = next((c for c in derivation.claims if c.claim == "theta"), None)
     if bounds is None or claim is None or not isinstance(law, NaturalDamping) or law.Upsilon is None:
         return None
-    if bounds.Lambda_l is None or bounds.Lambda_c is None or claim.status is Status.UNDECIDED:
+    if bounds.Lambda_l is None or bounds.Lambda_c is None or claim.status is not Status.PROVED:
         return None
-    if claim.status is Status.REFUTED:
-        W = bounds.compliance
-        return None if W is None or is_diagonal(W) or "x" in (claim.counterexample or {}) else inverse(W)
     enough = required(diagonal([1 / v for v in (*bounds.Lambda_l, *bounds.Lambda_c)]), law.Upsilon)
     if positive_semidefinite(excess(filter_gain(law), enough)).status is Status.PROVED:
         return None

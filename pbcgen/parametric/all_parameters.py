@@ -70,6 +70,11 @@ class _Passive:
 
 def _verdicts(wide: Wide) -> Iterator[Verdict]:
     """One after the other, each with what it rests on."""
+    if jump := wide.jump:
+        why = f"the model, gamma or eta may jump by `{jump}`, at states that the parameters move"
+        named = [claim.claim for claim in wide.derivation.claims if claim.claim not in _AT_VALUES_ONLY]
+        yield from (Verdict(undecided(name, EVERYWHERE, why)) for name in named if name != "gain-definiteness")
+        return
     passive, storage = _storage(wide)
     output = _output(wide, passive)
     point, equilibrium = _equilibrium(wide)
@@ -173,8 +178,8 @@ def _equilibrium(wide: Wide) -> tuple[RestingPoint | None, Claim]:
         return None, undecided("equilibrium", AT_TARGET, why)
     for name, (lo, hi) in system.domain.items():
         value = point.values[system.state_names.index(name)].constant()
-        if value is None or (lo is not None and value < rational(lo)) or (hi is not None and value > rational(hi)):
-            return None, undecided("equilibrium", AT_TARGET, f"{name} may leave the domain for other parameters")
+        if value is None or (lo is not None and value <= rational(lo)) or (hi is not None and value >= rational(hi)):
+            return None, undecided("equilibrium", AT_TARGET, f"{name} may leave the inside of the domain")
     shown = [
         f"{name} = {wide.text(value)}"
         for name, value in zip((*system.state_names, *system.input_names), point.values, strict=True)

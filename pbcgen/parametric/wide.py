@@ -177,6 +177,14 @@ class Wide:
             return self.is_defined(mechanics.M, mechanics.V, mechanics.D, mechanics.G)
         return self.is_defined(system.f, system.g, self.plant.gradient)
 
+    @property
+    def jump(self) -> str:
+        """An operation by which the model, gamma or eta may jump, or nothing; derivatives do not show it."""
+        own, system, mechanics = self.derivation, self.given.system, self.given.system.mechanical
+        parts = [system.f, system.g, system.S, *(e for e in (own.gamma, own.eta) if e is not None)]
+        parts += [mechanics.M, mechanics.V, mechanics.D, mechanics.G] if mechanics is not None else []
+        return self.given.jumps(*parts, *(c.expression for c in own.design.target.conditions))
+
     # --- gains ----------------------------------------------------------------------------------------------------
 
     def diagonal(self, gains: Iterable[Gain], symbolic: bool = False) -> ca.SX:

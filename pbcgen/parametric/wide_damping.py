@@ -7,6 +7,7 @@ parameters, found without care for pivots that might vanish; what is proved is t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -14,8 +15,11 @@ import casadi as ca
 from pbcgen.models.laws import NaturalDamping
 from pbcgen.parametric.wide import EVERYWHERE, FAR_REACHES, GIVE_UP, Wide, pairs, refuted, undecided
 from pbcgen.parametric.wide_conditions import Verdict, condition, negative_minor
+from pbcgen.passivity.damping_search import Finding, Port
 from pbcgen.passivity.plant import dot
+from pbcgen.passivity.region import Region
 from pbcgen.passivity.structure import PowerStructure
+from pbcgen.passivity.theta import filter_gain
 from pbcgen.proof.elimination import definite, positivity_conditions, semidefinite
 from pbcgen.proof.nonnegative import nonnegative, positive
 from pbcgen.symbolic.coefficients import Coefficients
@@ -173,9 +177,18 @@ def theta(wide: Wide, damping: Damping) -> Theta:
         pass
     iff = f"Theta > 0 with these Lambda iff {condition_}" if condition_ else "Theta was not proved"
     against = negative_minor(wide, excess, FAR_REACHES) if damping.tight else None
-    if against is None:
+    state = None if against is None else _too_weak(wide, law, against.values)
+    if against is None or state is None:
         return Theta(Verdict(undecided(name, EVERYWHERE, iff), condition_), bool(condition_))
     why = f"{iff}; not so with {pairs(against.values)}"
-    found = {"parameters": against.values, f"minor {against.order} of the excess": against.value}
+    found = {"parameters": against.values, "x": state.values, "Theta form": state.dissipation}
     claim = refuted(name, EVERYWHERE, why, "keep to this condition, or raise K_l R_l", found)
     return Theta(Verdict(claim, condition_), bool(condition_))
+
+
+def _too_weak(wide: Wide, law: NaturalDamping, values: Mapping[str, str]) -> Finding | None:
+    """A state and an input at which these parameters damp too little for the gains, whatever Lambda is."""
+    own = wide.derivation
+    assert own.gamma is not None
+    port = Port.of(wide.given.with_values(values), Region.stated(wide.given), own.gamma, own.eta)
+    return port.theta_negative(law.Upsilon or (), filter_gain(law))

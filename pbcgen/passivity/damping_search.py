@@ -8,20 +8,27 @@ for over states and inputs, and what is found is checked at a rational point.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.gains import Matrix
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.region import Region, search_with_inputs
-from pbcgen.symbolic.real import BITS, precision, rational, sign, text
+from pbcgen.passivity.structure import PowerStructure
+from pbcgen.symbolic.real import BITS, is_finite, precision, rational, sign, text
 
 #: Damping below this, relative to the rates, is looked at more closely.
 _WEAK = Fraction(1, 10**6)
+Floats = NDArray[np.float64]
+
+#: Sizes of the flows that are aimed at, states to start from for each, Newton steps, and how near they must come.
+_SIZES, _STARTS, _STEPS, _NEAR = (1.0, 1e-2, 1e-4, 1e-6, 1e3, 1e8, 1e12), 3, 30, 1e-9
 
 
 @dataclass(frozen=True)
@@ -84,11 +91,58 @@ class Port:
 
     def theta_negative(self, upsilon: Matrix, product: Sequence[Fraction]) -> Finding | None:
         """Where Theta is certainly negative, with its value for the dissipation."""
+        found = self._search(*self._theta(upsilon, product))
+        return None if found is None else Finding(self._named(found[0]), found[1], True)
+
+    def theta_negative_along(
+        self, upsilon: Matrix, product: Sequence[Fraction], structure: PowerStructure, flow: Floats
+    ) -> Finding | None:
+        """The same where the vector v of the dissipation is a multiple of ``flow`` but for what is not dissipated."""
+        n = self.plant.system.n
+        tape = self.plant.tape(self._theta(upsilon, product)[0])
+        for point in self._along(structure, flow):
+            with precision(BITS):
+                x, u = [rational(v) for v in point[:n]], [rational(v) for v in point[n:]]
+                form = self.plant.walk(tape, x, u)[0][0][0]
+                if is_finite(form) and sign(form) == -1:
+                    return Finding(self._named(point), text(form, 9), True)
+        return None
+
+    def _theta(self, upsilon: Matrix, product: Sequence[Fraction]) -> tuple[ca.SX, ca.SX]:
+        """The least value of Theta over x_l', and what it is judged by."""
         gains = [ca.SX(0, 1) if not row else ca.horzcat(*[self.plant.number(v) for v in row]) for row in upsilon]
         excess = ca.mtimes(ca.vertcat(*gains), self.eta_rate) - self.y
         supplied = sum((excess[i] ** 2 * self.plant.number(1 / (4 * k)) for i, k in enumerate(product)), ca.SX(0))
-        found = self._search(self.dissipation - supplied, ca.sumsqr(excess))
-        return None if found is None else Finding(self._named(found[0]), found[1], True)
+        return self.dissipation - supplied, ca.sumsqr(excess)
+
+    def _along(self, structure: PowerStructure, flow: Floats) -> Iterator[tuple[Fraction, ...]]:
+        """States of the region and inputs with such a v, rounded, by Newton's method from a few states."""
+        system, generator = self.plant.system, np.random.default_rng(5)
+        v = system.xdot
+        if structure.form == "F":
+            v = self.plant.gradient - ca.mtimes(ca.jacobian(self.gamma, system.x).T, system.u)
+        lost = ca.mtimes(structure.dissipation(), v)
+        z = ca.vertcat(system.x, system.u)
+        function = self.plant.doubles(lost, ca.jacobian(lost, z), structure.dissipation())
+        ends = [(lo if lo is not None else -1, hi if hi is not None else 1) for lo, hi in self.region.bounds]
+        lower, upper = (np.array([float(end[k]) for end in (*ends, *[(-1, 1)] * system.m)]) for k in (0, 1))
+        middle = (lower + upper) / 2
+        for size in _SIZES:
+            for k in range(_STARTS):
+                at = middle + k * (generator.uniform(lower, upper) - middle) / _STARTS
+                for _ in range(_STEPS):
+                    value, slope, B = function(at[: system.n], at[system.n :])
+                    wanted = size * B @ flow
+                    left = np.ravel(value) - wanted
+                    if not np.all(np.isfinite(left)) or not np.all(np.isfinite(slope)):
+                        break
+                    if np.linalg.norm(left) <= _NEAR * np.linalg.norm(wanted):
+                        break
+                    at = at - np.linalg.lstsq(slope, left, rcond=None)[0]
+                if np.all(np.isfinite(at)):
+                    point = tuple(Fraction(f"{value:.16e}") for value in at)
+                    if self.region.contains(point[: system.n]):
+                        yield point
 
     def _search(self, value: ca.SX, scale: ca.SX) -> tuple[tuple[Fraction, ...], str] | None:
         try:

@@ -10,27 +10,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
-from math import floor, isfinite, log10
 
 import casadi as ca
 from flint import fmpq
 
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.models.exact import rounded_down
 from pbcgen.passivity.damping_bounds import bounds_on, tightened
 from pbcgen.passivity.damping_search import Port
+from pbcgen.passivity.least import constant_below
 from pbcgen.passivity.passive_output import gives_output
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.region import Region
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_semidefinite
-from pbcgen.proof.nonnegative import nonnegative
-from pbcgen.proof.spot import Spots
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
-from pbcgen.symbolic.real import ZERO, Real, fraction, rational, text
+from pbcgen.symbolic.real import ZERO, Real, rational, text
 from pbcgen.symbolic.real_matrices import RealMatrix, SparseRow, dense, inverse, multiply, transpose
 
 
@@ -43,7 +39,8 @@ class NaturalDampingBounds:
         eta_names: how to call its entries.
         Lambda_l, Lambda_c: the largest constant diagonals found, or None.
         claim: the verdict `assumption-3`.
-        tight: whether no larger constants exist: the dissipation is constant.
+        flows: ``B0^+ C^T``, n x (s + m), whose columns are the v that lose least for given (eta', y); None where the
+            dissipation varies.
         compliance: W, whose inverse is the largest constant matrix Lambda in the Loewner order, for a constant part of
             the dissipation; it is diagonal where eta' and y share no damping.
     """
@@ -53,7 +50,7 @@ class NaturalDampingBounds:
     Lambda_l: tuple[Real, ...] | None
     Lambda_c: tuple[Real, ...] | None
     claim: Claim
-    tight: bool = False
+    flows: RealMatrix | None = None
     compliance: RealMatrix | None = None
 
 
@@ -147,8 +144,10 @@ def _bounds(
     if not chosen:
         return NaturalDampingBounds(None, (), None, None, _no_damped_coordinate(plant))
     signal_rows = [rows.signals[k] or [] for k in chosen]
-    W = _compliance(rows.B0, [*signal_rows, *rows.y])
+    flows = transpose([_range_solution(rows.B0, row) or [] for row in (*signal_rows, *rows.y)])
+    W = multiply([*signal_rows, *rows.y], flows)
     bounds = [fmpq(1) / v for v in tightened(W, [_row_sum(row) for row in W])]
+    found = flows if rows.complete else None
     s = len(chosen)
     eta = ca.vertcat(*[candidates[k] for k in chosen])
     eta_names = tuple(names[k] for k in chosen)
@@ -157,7 +156,7 @@ def _bounds(
     if largest is not None:
         shown = "; ".join(", ".join(text(v, 6) for v in row) for row in largest)
         claim = replace(claim, evidence=f"{claim.evidence}; the largest Lambda for (eta, gamma) is [{shown}]")
-    return NaturalDampingBounds(eta, eta_names, tuple(bounds[:s]), tuple(bounds[s:]), claim, rows.complete, W)
+    return NaturalDampingBounds(eta, eta_names, tuple(bounds[:s]), tuple(bounds[s:]), claim, found, W)
 
 
 def _varying_bounds(
@@ -261,34 +260,10 @@ def constant_part(B: Sequence[Mapping[int, Quotient]]) -> tuple[list[SparseRow],
             if i != j:
                 return None
             complete = False
-            result[i][i] = _constant_below(entry)
+            result[i][i] = rational(constant_below(entry))
     if positive_semidefinite(result).status is not Status.PROVED:
         return None
     return result, complete
-
-
-def _constant_below(function: Quotient) -> Real:
-    """A constant that the nonnegative function never falls below, as large as the provers show, or zero.
-
-    Tried are its least values at a few points, rounded down, and what other terms may leave of the largest.
-    """
-    for candidate in _lower_bounds(function):
-        if candidate > 0 and nonnegative(function - function.field.const(candidate)):
-            return rational(candidate)
-    return ZERO
-
-
-def _lower_bounds(function: Quotient) -> list[Fraction]:
-    """Candidates for the least value, largest first."""
-    above, below = ([fraction(c) for c in p.to_dict().values()] for p in (function.numerator, function.denominator))
-    scale = sum(map(abs, below), Fraction(0))
-    found = {max(above) / scale, (2 * max(above) - sum(map(abs, above), Fraction(0))) / scale}
-    least = Spots(function.field).least(function)
-    if isfinite(least) and least > 0:
-        exponent = floor(log10(least))
-        found |= {rounded_down(Fraction(least), digits) for digits in range(1, 5)}
-        found |= {Fraction(1, 10) ** k for k in (-exponent + 1, -exponent + 2)}
-    return sorted(found, reverse=True)
 
 
 def _range_solution(B0: Sequence[SparseRow], row: Sequence[Real]) -> list[Real] | None:

@@ -11,6 +11,7 @@ import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.affine import AffineSystem
+from pbcgen.models.exact import Number
 from pbcgen.models.numbers import is_short
 from pbcgen.passivity.construction import gradient_by_construction
 from pbcgen.proof.nonnegative import positive
@@ -129,6 +130,13 @@ class Plant:
         """An expression of another plant with this plant's symbols for the constants that the other has made."""
         old, new = ca.vertcat(ca.SX(0, 1), *other._constants.values()), map(self.number, other._constants)
         return ca.substitute(expression, old, ca.vertcat(ca.SX(0, 1), *new)) if old.numel() else expression
+
+    def with_values(self, values: Mapping[str, Number]) -> Plant:
+        """The formulas f, g and S with other values of some parameters; it knows the constants of :meth:`number`."""
+        system = self.system
+        parameters = system.parameters.with_values(**values)
+        moved = AffineSystem(system.x, system.u, system.f, system.g, system.S, parameters=parameters)
+        return Plant(moved, dict(self._constants))
 
     def symbolic(self, system: AffineSystem) -> SymbolicPlant:
         """Another system, whose parameters stay symbols; it knows the constants made by :meth:`number` so far."""

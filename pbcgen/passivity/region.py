@@ -58,6 +58,11 @@ class Region:
         parts = [_interval_text(name, *interval) for name, interval in zip(self.names, self.bounds, strict=True)]
         return ", ".join(part for part in parts if part) or EVERYWHERE
 
+    def contains(self, x: Sequence[Fraction]) -> bool:
+        """Whether a state is in the box; its edge is part of it."""
+        sides = zip(x, self.bounds, strict=True)
+        return all((lo is None or v >= lo) and (hi is None or v <= hi) for v, (lo, hi) in sides)
+
     def prover(self, budget: Budget) -> Prover:
         """What decides signs on the region; positions are those of the states among the plant's symbols."""
         if self.is_whole:

@@ -9,7 +9,7 @@ Two forms: ``f = F(x) grad S - rho(x)`` (port-Hamiltonian, with a remainder of f
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import casadi as ca
@@ -17,6 +17,7 @@ import casadi as ca
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.construction import drift_by_construction
 from pbcgen.passivity.factor import Factor, find_factor, refine_symbolically
+from pbcgen.passivity.least import constant_below
 from pbcgen.passivity.plant import Plant, dot
 from pbcgen.proof.elimination import semidefinite
 from pbcgen.proof.nonnegative import Everywhere, Prover
@@ -196,7 +197,29 @@ def power_structure(plant: Plant) -> tuple[PowerStructure, StructureProof] | Non
     for structure in candidates(plant):
         proof = prove(plant, structure)
         if proof.complete:
-            return structure, proof
+            return with_linear_friction(plant, structure), proof
         if proof.identity and fallback is None:
             fallback = structure, proof
     return fallback
+
+
+def with_linear_friction(plant: Plant, structure: PowerStructure) -> PowerStructure:
+    """The same with linear friction in F: with ``rho_i = (r_i + c) e_i`` and ``r_i >= 0``, c goes there.
+
+    The identity stays as it is, and so does the sign of each term of the friction; what all v lose grows.
+    """
+    if structure.form != "F" or not structure.remainder.nnz():
+        return structure
+    try:
+        field, (e, rho) = plant.exact(plant.gradient, structure.remainder)
+    except (UnsupportedOperation, ZeroDivisionError):
+        return structure
+    zero = field.const(0)
+    matrix, remainder = ca.SX(structure.matrix), ca.SX(structure.remainder)
+    for i, (slope, friction) in enumerate(zip(e.column(zero), rho.column(zero), strict=True)):
+        if friction.is_zero() or slope.is_zero():
+            continue
+        c = plant.number(constant_below(friction / slope, slope * slope))
+        matrix[i, i] -= c
+        remainder[i] -= c * plant.gradient[i]
+    return replace(structure, matrix=matrix, remainder=remainder)

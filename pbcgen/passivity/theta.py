@@ -16,18 +16,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
+import numpy as np
 from flint import fmpq
 
+from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.gains import Matrix
 from pbcgen.models.laws import NaturalDamping
 from pbcgen.passivity.damping_bounds import exceeds
 from pbcgen.passivity.damping_search import Finding, Port
-from pbcgen.passivity.dissipation import NaturalDampingBounds, dot_real
+from pbcgen.passivity.dissipation import NaturalDampingBounds
 from pbcgen.passivity.region import Region
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import eigenvalues, positive_definite, positive_semidefinite
-from pbcgen.symbolic.real import ZERO, rational, text
+from pbcgen.symbolic.real import ZERO, approximate, rational
 from pbcgen.symbolic.real_matrices import RealMatrix, congruence, diagonal, exact_matrix, multiply, transpose
 
 _SCHUR = "Schur complement over the rationals"
@@ -77,9 +79,9 @@ def theta(
         claim = Claim("theta", Status.PROVED, bounds.claim.domain, _SCHUR, evidence)
         strict = positive_definite(excess(product, bound)).status is Status.PROVED
         return ThetaVerdict(claim, bound, smallest, strict)
-    if bounds.tight:
-        witness = _witness(W, law, verdict.witness or ())
-        return ThetaVerdict(Claim("theta", verdict.status, "all x", _SCHUR, evidence, hint, witness), bound, smallest)
+    found = _along(bounds, law, port, structure, verdict.witness or ())
+    if found is not None and port is not None:
+        return ThetaVerdict(_too_weak(port, found, hint), bound, smallest)
     region = _carried(law, port, structure, _WHOLE)
     if region is not None and port is not None:
         method = "Schur complement and Loewner order, by elimination with exact functions"
@@ -158,18 +160,24 @@ def excess(product: Sequence[Fraction], bound: RealMatrix) -> RealMatrix:
     return [[(rational(product[i]) if i == j else ZERO) - v for j, v in enumerate(row)] for i, row in enumerate(bound)]
 
 
-def _witness(W: RealMatrix, law: NaturalDamping, direction: Sequence[Fraction]) -> dict[str, object]:
-    """(eta', y, x_l') with a negative Theta form: x_l' = R_l w, and (eta', y) that minimise the form."""
-    w = [rational(c) for c in direction]
-    E = rows_of(law.Upsilon or ())
-    pull = multiply([w], E)[0]
-    rates = [-row[0] / 2 for row in multiply(W, [[v] for v in pull])]
-    filters = [rational(k) for k in filter_gain(law)]
-    value = dot_real(pull, rates) / 2 + dot_real([k * c for k, c in zip(filters, w, strict=True)], w)
-    s = len(rates) - len(w)
-    return {
-        "eta'": [text(v) for v in rates[:s]],
-        "y": [text(v) for v in rates[s:]],
-        "x_l'": [text(rational(law.R_l[i][i]) * c) for i, c in enumerate(w)],
-        "Theta form": text(value, 9),
-    }
+def _along(
+    bounds: NaturalDampingBounds,
+    law: NaturalDamping,
+    port: Port | None,
+    structure: PowerStructure | None,
+    direction: Sequence[Fraction],
+) -> Finding | None:
+    """A state and an input for a direction w that ``K_l R_l - E W E^T / 4`` does not carry, or None.
+
+    (eta', y) is then least where v is a multiple of ``B0^+ C^T E^T w``.
+    """
+    if bounds.flows is None or port is None or structure is None or not direction or min(filter_gain(law)) <= 0:
+        return None
+    (pull,) = multiply([[rational(c) for c in direction]], rows_of(law.Upsilon or ()))
+    flow = [row[0] for row in multiply(bounds.flows, [[v] for v in pull])]
+    v = np.array([approximate(entry) for entry in flow])
+    size = float(np.linalg.norm(v))
+    try:
+        return port.theta_negative_along(law.Upsilon or (), filter_gain(law), structure, v / size) if size else None
+    except UnsupportedOperation:
+        return None

@@ -81,6 +81,12 @@ class System:
         rows = self.mass(z, lift)
         return [*z[: self.half], *(dot(row, z[self.half :]) for row in rows)] if rows else list(z)
 
+    def coordinates(self, z: Sequence[Any]) -> list[Any]:
+        """(q, v, u) for numbers (x, u) with x = (q, p), else these themselves."""
+        M = self.mass(z, fmpq)
+        p = [[v] for v in z[self.half : self.n]]
+        return [*z[: self.half], *(v for (v,) in product(inverse(M), p)), *z[self.n :]] if M else list(z)
+
     def mass(self, z: Sequence[Any], lift: Lift) -> Matrix:
         """M at these positions."""
         inputs = {"state": z[: self.half], "parameter": [lift(p) for p in self.model.parameters]}

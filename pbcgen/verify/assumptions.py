@@ -85,9 +85,9 @@ class Assumptions(Overall):
 
     def power_there(self, claim: str) -> tuple[Any, Callable[[Any], Any]]:
         """``u^T gamma' - S'`` at a state and an input of a witness, and the value of other functions there."""
-        self.in_states()
         z = self.given(claim, "x")
         require(self.inside(dict(zip([*self.states, *self.inputs], z, strict=True))), "the state is not in the domain")
+        z = self.coordinates(z) + [fmpq(0)] * len(self.inertia)
         return put_in(self.field, self.power_at(self.constants), z), lambda a: put_in(self.field, self.field.lift(a), z)
 
     def _no_output(self) -> None:
@@ -215,12 +215,8 @@ class Assumptions(Overall):
         require(is_definite(self.theta, semi=True), "Theta is not positive semidefinite")
 
     def refuted_theta(self) -> None:
-        """``v^T Theta v < 0``; or a state and an input at which no Lambda would do, by the Schur complement."""
-        if "x" in self.witness["theta"]:
-            return require(sign(self._spare()) == -1, "the damping suffices at this state")
-        v, gain = self.given("theta", "v"), self.model.gains["R_l"]
-        v[-self.m :] = [x / gain[i][i] for i, x in enumerate(v[-self.m :])]
-        return require(sign(dot(v, [dot(row, v) for row in self.theta])) == -1, "the direction does not show it")
+        """A state and an input at which no Lambda would do, by the Schur complement."""
+        require(sign(self._spare()) == -1, "the damping suffices at this state")
 
     def _spare(self) -> Any:
         """``u^T gamma' - S' - |Upsilon eta' - y|^2_{(4 K_l R_l)^-1}`` at a state and an input."""

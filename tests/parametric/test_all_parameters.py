@@ -363,3 +363,53 @@ def test_nothing_of_it_lets_code_out(tmp_path):
     assert not report.emittable
     assert {str(c.status) for c in for_all_parameters(report)} == {"PROVED"}
     assert not report.emittable
+
+
+@pytest.mark.parametrize("where", ["S", "gamma", "V"])
+def test_nothing_is_said_for_all_parameters_of_a_model_that_jumps(where):
+    """Derivatives do not show a jump, and the parameters move x* across it."""
+    x, p = _symbols("x", "p")
+    k = Parameters(k=2)
+    jump = ca.floor(k.k * x)
+    if where == "V":
+        system = Mechanical([x], [p], M=[1], V=k.k * x**2 / 2 + jump, D=[1], G=[1], parameters=k)
+    else:
+        S = k.k * x**2 / 2 + p**2 / 2 + (jump if where == "S" else 0)
+        gamma = x + jump if where == "gamma" else None
+        system = AffineSystem([x, p], ca.SX.sym("u"), [p, -k.k * x - p], [0, 1], S, parameters=k, gamma=gamma)
+    claims = for_all_parameters(check(_design(system, {"x": "0.3"})))
+    assert {claim.status for claim in claims} == {"UNDECIDED"}
+    assert all("floor" in claim.evidence for claim in claims)
+
+
+def test_a_target_on_the_edge_of_the_domain_is_no_equilibrium_of_the_model():
+    x, p = _symbols("x", "p")
+    k = Parameters(k=2)
+    S = k.k * x**2 / 2 + p**2 / 2
+    for value, status in ((0, "UNDECIDED"), ("0.1", "PROVED")):
+        system = AffineSystem(
+            [x, p], ca.SX.sym("u"), [p, -k.k * x - p], [0, 1], S, parameters=k, domain={"x": (0, None)}
+        )
+        claims = {c.claim: c for c in for_all_parameters(check(_design(system, {"x": value})))}
+        assert claims["equilibrium"].status == claims["asymptotically-stable"].status == status
+
+
+def test_theta_is_refuted_by_a_state_at_parameters_not_by_constants_that_are_too_small():
+    """The friction d p + p cosh p is at least (d + 1) p; the structure for all parameters has d alone."""
+    q1, q2, p1, p2 = _symbols("q1", "q2", "p1", "p2")
+    d = Parameters(d=1)
+    law = NaturalDamping(1, 1, 1, 1, alpha_l=1, beta_l=1, K_l="0.6", R_l=1, Upsilon=1)
+
+    def theta(more):
+        f = [p1, -2 * q1 + q2 - d.d * p1 - more(p1), p2, q1 - q2 - d.d * p2 - more(p2)]
+        S = (q1**2 + (q1 - q2) ** 2 + p1**2 + p2**2) / 2
+        system = AffineSystem(
+            [q1, p1, q2, p2], ca.SX.sym("u"), f, [0, 1, 0, 0], S, parameters=d, eta=[q2], measured=["q1", "q2"]
+        )
+        claims = for_all_parameters(check(_design(system, {"q1": 0, "q2": 0}, law)))
+        return next(claim for claim in claims if claim.claim == "theta")
+
+    found = theta(lambda p: 0)
+    assert found.status == "REFUTED"
+    assert Fraction(found.counterexample["Theta form"]) < 0
+    assert theta(lambda p: p * ca.cosh(p)).status != "REFUTED"

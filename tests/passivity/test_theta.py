@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from flint import fmpq
 
-from pbcgen import Design, Mechanical, NaturalDamping
+from pbcgen import AffineSystem, Design, Mechanical, NaturalDamping
 from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
+from pbcgen.models.affine import Structure
 from pbcgen.proof.claim import Status
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.verify.claims import examine
@@ -112,4 +113,63 @@ def test_a_larger_lambda_is_refused():
         witness = next(c["witness"] for c in document["claims"] if c["claim"] == "theta")
         witness["Lambda"] = [[str(change(rational(v))) for v in row] for row in witness["Lambda"]]
         document["digest"] = digest(document)
+        assert {f.claim: f.outcome for f in examine(document)}["theta"] == "fails"
+
+
+def _springs(friction, gain):
+    """Two masses on springs with a friction that is a function of the velocity."""
+    q, p = ([ca.SX.sym(f"{letter}{k}") for k in (1, 2)] for letter in "qp")
+    pull = q[0] - q[1]
+    f = [p[0], -q[0] - pull - friction(p[0]), p[1], pull - friction(p[1])]
+    S = (q[0] ** 2 + pull**2 + p[0] ** 2 + p[1] ** 2) / 2
+    law = NaturalDamping(1, 1, 1, 1, alpha_l=1, beta_l=1, K_l=gain, R_l=1, Upsilon=1)
+    system = AffineSystem(
+        [q[0], p[0], q[1], p[1]], ca.SX.sym("u"), f, [0, 1, 0, 0], S, eta=[q[1]], measured=["q1", "q2"]
+    )
+    return Design(system, {"q1": 0, "q2": 0}, law, sample_period="1e-3")
+
+
+@pytest.mark.parametrize(
+    ("friction", "least"),
+    [
+        (lambda p: p + p * ca.cosh(p), "0.25"),
+        (lambda p: p + p * ca.exp(p**2), "0.25"),
+        (lambda p: p * (1 + p**2) + p**3 * ca.exp(p), "0.5"),
+        (lambda p: 2 * p + ca.tanh(p), "0.25"),
+    ],
+)
+def test_friction_beside_the_structure_damps_too(friction, least):
+    for gain, status in ((least, "PROVED"), (Fraction(least) * Fraction(999, 1000), "REFUTED")):
+        derivation, claim = _theta(_springs(friction, gain))
+        assert claim.status == status
+        assert {f.claim: f.outcome for f in examine(certificate(derivation))}["theta"] == "checked"
+
+
+@pytest.mark.parametrize("friction", [lambda p: p + ca.sinh(p), lambda p: p + p * ca.sqrt(1 + p**2)])
+def test_a_constant_that_is_only_not_the_largest_refutes_nothing(friction):
+    """A quarter is enough, though the constants that are found ask for a half."""
+    for gain in ("0.3", "0.26"):
+        assert _theta(_springs(friction, gain))[1].status is not Status.REFUTED
+    assert _theta(_springs(friction, "0.24"))[1].status == "REFUTED"
+
+
+def test_what_no_state_brings_about_refutes_nothing():
+    """S does not depend on z, so that F may have any column for it: what it says there is lost never is."""
+    q, p, z = (ca.SX.sym(name) for name in "qpz")
+    F = ca.SX([[0, 1, 0], [-1, -1, -1], [0, 1, -1]])
+    system = AffineSystem(
+        [q, p, z], ca.SX.sym("u"), [p, -q - p, p], [0, 1, 0], (q**2 + p**2) / 2, structure=Structure(F=F), eta=[z]
+    )
+    law = NaturalDamping(1, 1, 1, 1, alpha_l=1, beta_l=1, K_l="0.1", R_l=1, Upsilon=1)
+    assert _theta(Design(system, {"q": 0, "z": 0}, law, sample_period="1e-3"))[1].status is not Status.REFUTED
+
+
+def test_a_state_with_enough_damping_refutes_nothing_in_a_certificate():
+    derivation, claim = _theta(_two(1, -0.5, 1, "0.3"))
+    assert claim.status == "REFUTED"
+    document = certificate(derivation)
+    (entry,) = [e for e in document["claims"] if e["claim"] == "theta"]
+    found = entry["witness"]["x"]
+    for x in (["0"] * len(found), [*found[:2], "1", "1", "0"], found[:-1], [*found, "0"]):
+        entry["witness"] = {"x": x}
         assert {f.claim: f.outcome for f in examine(document)}["theta"] == "fails"

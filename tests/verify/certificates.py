@@ -16,9 +16,10 @@ from pbcgen.verify.claims import examine
 from pbcgen.verify.files import digest
 
 #: Numbers that prove nothing, or that others could stand for: names of methods, the width of a box, the last digits of
-#: its centre, a direction in which a form is negative, which of the equations that say the same is taken.
+#: its centre, a direction or a state in which a form is negative, which of the equations that say the same is taken.
 IDLE = re.compile(
-    r'"steps": \[[^"]*\[$|"method": "[^"]*$|"radius": "[^"]*$|"-?\d{60}\d*$|"rows": \[?$|"rows": \[\{"$|"v": \[[^]]*$'
+    r'"steps": \[[^"]*\[$|"method": "[^"]*$|"radius": "[^"]*$|"-?\d{60}\d*$|"rows": \[?$|"rows": \[\{"$'
+    r'|"[vx]": \[[^]]*$'
 )
 
 REFERENCE = ("coupling_device", "rlc", "pera", "pera_integral")

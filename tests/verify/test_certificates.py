@@ -216,8 +216,9 @@ def test_theta_at_its_margin():
             entry["status"] = other if entry["claim"] == "theta" else entry["status"]
         assert outcomes(signed(document))["theta"] != "checked"
         entry = next(entry for entry in document["claims"] if entry["claim"] == "theta")
-        for v in (["1", "1", "1"], ["1", "1", "2"], ["1", "-1", "-1"]) if status == "PROVED" else ():
-            entry["witness"] = {"v": v}
+        states = (["1", "1", "1", "1", "0"], ["0", "0", "1", "-1", "0"], ["0", "0", "1", "-1", "1"])
+        for x in states if status == "PROVED" else ():
+            entry["witness"] = {"x": x}
             assert outcomes(signed(document))["theta"] == "fails"
 
 
