@@ -31,7 +31,8 @@ from pbcgen.passivity.assignable import greedy_rows, residual_of, scale_of
 from pbcgen.passivity.equilibrium import combination, gram_of_inputs
 from pbcgen.passivity.obstruction import obstruction
 from pbcgen.passivity.plant import Point
-from pbcgen.passivity.shaping import extended_hessian, shape_at
+from pbcgen.passivity.response import Response, negative_response
+from pbcgen.passivity.shaping import BY_RANK, extended_hessian, shape_at
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_definite
 from pbcgen.symbolic.real import (
@@ -247,6 +248,8 @@ def _decimal(value: Fraction) -> str:
 
 def _gradient(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
     structure = derivation.structure
+    if claim.method == BY_RANK:
+        return {"rank": derivation.plant.system.n}
     by_structure = structure is not None and claim.method.startswith("structure") and _needs_structure(derivation)
     return {"form": structure.form} if structure is not None and by_structure else None
 
@@ -285,8 +288,9 @@ def _gain(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any
 def _supplied(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:
     """A state and an input for the model's gamma, or why there is none."""
     found, plant = claim.counterexample or {}, derivation.plant
-    if "x" not in found:  # the response at a frequency, which the checker has no means for
-        return None
+    if "omega" in found:
+        response = None if derivation.point is None else negative_response(plant, derivation.point)
+        return None if response is None else _negative(derivation, response)
     if plant.system.gamma is not None:
         return _state_and_input(derivation, claim, terms)
     shown = obstruction(plant)
@@ -298,6 +302,16 @@ def _supplied(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str,
         "x": [shown.point[name] for name in plant.system.state_names],
         "vectors": [[j, [None if v.is_zero() else terms.quotient(v) for v in d]] for j, d in shown.directions],
     }
+
+
+def _negative(derivation: Derivation, found: Response) -> dict[str, Any]:
+    """A frequency, and the rest at which it counts if that is not x*."""
+    system, witness = derivation.plant.system, {"omega": str(found.omega)}
+    if found.point == derivation.point:
+        return witness
+    known = {name: str(midpoint(v)) for name, v in zip(system.input_names, found.point.u, strict=True)}
+    unknown = {name: _decimal(midpoint(v)) for name, v in zip(system.state_names, found.point.x, strict=True)}
+    return witness | {"rest": {"known": known, "unknown": unknown, "radius": _RADIUS, "rows": [*range(system.n)]}}
 
 
 def _state(derivation: Derivation, claim: Claim, terms: Writing) -> dict[str, Any] | None:

@@ -190,8 +190,11 @@ class _Work:
             return None
         return self._by_steps()
 
-    def on_leaves(self, claim: Claim) -> Witness:
-        """`stable` where something is conserved."""
+    def besides(self, claim: Claim) -> Witness:
+        """`stable` where something is conserved; or not, where a motion is steady that the controller does not see."""
+        if "rate" in (found := claim.counterexample or {}):
+            rate: Any = found["rate"]
+            return (self._undamped() or {}) | {"rate": [rate.get(name, "0") for name in self.system.states]}
         return dict(claim.certificate) if "conserved" in claim.certificate else None
 
     def _conserved(self) -> Witness:
@@ -358,7 +361,7 @@ _MAKERS = {
     "equilibrium": _Work.unassignable,
     "saturation": _Work.limited,
     "assumption-3": _Work.undamped_output,
-    "stable": _Work.on_leaves,
+    "stable": _Work.besides,
     "asymptotically-stable": _Work.local,
     "globally-asymptotically-stable": _Work.everywhere,
     "sampled-stable": _Work.sampled,

@@ -112,10 +112,11 @@ def _other_rests(plant: Plant, point: Point) -> Iterator[Point]:
 def _at(plant: Plant, point: Point) -> Response | None:
     """What one rest shows."""
     system = plant.system
-    entries = plant.at(point, ca.densify(ca.jacobian(system.xdot, system.x)), system.g, plant.gradient)
+    slope, bends = ca.jacobian(system.xdot, system.x), ca.hessian(system.S, system.x)[0]
+    entries = plant.at(point, ca.densify(slope), system.g, plant.gradient, ca.densify(bends))
     if not all(is_finite(v) for matrix in entries for row in matrix for v in row):
         return None
-    A, g, e = entries
+    A, g, e, _ = entries
     if not has_full_rank(A, g):
         return None
     with precision(BITS):

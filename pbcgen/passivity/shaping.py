@@ -29,6 +29,9 @@ from pbcgen.symbolic.real_matrices import (
     transpose,
 )
 
+#: The method of the gradient condition where nothing but the passive output shows it.
+BY_RANK = "passive-output near x*, and [d(f + g u)/dx, g] has rank n there"
+
 
 @dataclass(frozen=True)
 class Shape:
@@ -111,7 +114,8 @@ def gradient_condition(
         return _gradient_refuted(plant, shape, nonzero[0])
     if all(s == 0 for s in signs):
         return Claim("gradient-condition", Status.PROVED, "at x*", "exact evaluation", "grad S + grad gamma kappa = 0")
-    if structure is not None and all(is_finite(v) for v in shape.gradient) and _is_regular(plant, point, structure):
+    finite = all(is_finite(v) for v in shape.gradient)
+    if structure is not None and finite and _is_regular(plant, point, structure):
         relation = (
             "F regular at x*, F (grad S + grad gamma kappa) = f + g u" if structure.form == "F" else "A (f + g u)"
         )
@@ -122,12 +126,12 @@ def gradient_condition(
             f"structure: {relation} = 0",
             f"each entry lies within {max(float(radius(v)) for v in shape.gradient):.1e} of zero, and must be zero",
         )
-    if output is not None and passive and has_full_rank(*plant.at(point, _slope(plant), plant.system.g)):
+    if output is not None and passive and finite and has_full_rank(*plant.at(point, _slope(plant), plant.system.g)):
         return Claim(
             "gradient-condition",
             Status.PROVED,
             "at x*",
-            "passive-output near x*, and [d(f + g u)/dx, g] has rank n there",
+            BY_RANK,
             "u^T gamma' - S' is least at rest, so that grad S + grad gamma kappa = 0",
         )
     return Claim(

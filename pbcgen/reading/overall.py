@@ -144,6 +144,7 @@ class Overall(Family):
         """
         for source, *rest in steps:
             if source is None:
+                require(not any(self.field.has_poles(self.placed[w]) for w in rest[0].values()), "a weight has poles")
                 weighted = [chain.equations[int(k)] * self.placed[w] for k, w in rest[0].items()]
                 chain.equations.append(sum(weighted, self.field.lift(0)))
             elif len(rest) == 1:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Self
 
 from flint import arb, fmpq
 
 from pbcgen.reading.sums import Sums
+from pbcgen.reading.system import Witness
 from pbcgen.symbolic.plain.boxes import Box, ball
 from pbcgen.symbolic.plain.formulas import Formulas, Lift, rational
 from pbcgen.symbolic.plain.matrices import dot, negative, product
@@ -18,7 +20,7 @@ from pbcgen.symbolic.plain.spectra import all_stable, inverse, krawczyk
 from pbcgen.symbolic.plain.values import Dual, Field, partial, plain, sign, variables
 
 #: What is kept of a design once it is known, and is another at another x*.
-_AT_X_STAR = ["star", "gamma", "stiffness", "shaped", "hessian_d", "hessian_dc", "plant", "controller"]
+_AT_X_STAR = ["point", "star", "gamma", "stiffness", "shaped", "hessian_d", "hessian_dc", "plant", "controller"]
 _AT_X_STAR += ["continuous", "sampled", "is_hurwitz", "is_schur"]
 #: Newton's steps from the start of an unknown, and what a box around it is wider than its values.
 _STEPS, _LEAST = 12, fmpq(1, 10**60)
@@ -114,13 +116,24 @@ class Family(Sums):
 
     def at(self, values: Sequence[Any], slopes: bool = False) -> Self:
         """The design with these settings; with ``slopes`` its closed loop has those by the settings."""
-        other, moved = copy.copy(self), variables(values) if slopes else [*values]
+        other, moved = self._moved(), variables(values) if slopes else [*values]
         x_u, size = self.rest_at(moved), range(len(moved) if slopes else 0)
-        for name in _AT_X_STAR:
-            other.__dict__.pop(name, None)
         other.model = self.model.with_settings(moved)
         other.moves = {k: [plain(partial(v, k)) for v in x_u[: self.n]] for k in size}
         other.point = [plain(v) for v in x_u[: self.n]], x_u[self.n :]
+        return other
+
+    def elsewhere(self, rest: Mapping[str, Any]) -> Self:
+        """The design at another rest, which no target asks for; it is given as x* is."""
+        other = self._moved()
+        other.model, other.witness = replace(self.model, target={}), {"equilibrium": Witness(rest)}
+        return other
+
+    def _moved(self) -> Self:
+        """The design without what is known of it at x*."""
+        other = copy.copy(self)
+        for name in _AT_X_STAR:
+            other.__dict__.pop(name, None)
         return other
 
     def spread(self, cell: Box) -> tuple[Self, Self]:

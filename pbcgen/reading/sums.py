@@ -99,7 +99,7 @@ class Sums(System):
         if kind == "box":
             return self._by_boxes(claim, a, *b)
         if kind in ("above", "below"):
-            require(self.on_box(claim), "the claim is not restricted to the domain")
+            require(self.restricted(claim), "the claim is not restricted to the domain")
             bound = self.model.domain[self.states[a]][kind == "below"]
             require(bound is not None and a >= 0, "there is no such bound")
             return (self.field.symbols[a] - bound) * (1 if kind == "above" else -1)
@@ -141,7 +141,7 @@ class Sums(System):
         The state must then occur inside sines and cosines only, with one frequency.
         """
         lo, hi = self.model.domain.get(self.states[k], (None, None))
-        if lo is not None and hi is not None and (claim == "saturation" or self.on_box(claim)):
+        if lo is not None and hi is not None and self.restricted(claim):
             return lo, hi
         degrees, pool = function.top.degrees(), self.field.pool
         atoms = [atom for i, atom in enumerate(self.field.atoms.items(), 1) if degrees[pool - i]]
@@ -151,6 +151,10 @@ class Sums(System):
         require(periodic and min(frequencies), "a function is not periodic, and its state has no bounds")
         end = fmpq(22, 7) / frequencies.pop()  # 22/7 > pi
         return -end, end
+
+    def restricted(self, claim: str) -> bool:
+        """Whether a claim speaks of states in the domain of the model only."""
+        return claim in ("saturation", "equilibrium") or self.on_box(claim)
 
     def on_box(self, claim: str) -> bool:
         """Whether the claim is stated on the domain of the model."""

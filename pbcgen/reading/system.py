@@ -252,6 +252,10 @@ class System:
         """A matrix at x*."""
         return [[self.number(v) for v in row] for row in self.star[name]]
 
+    def are_finite(self, name: str) -> bool:
+        """Whether a matrix has certain values at x*."""
+        return all(arb(plain(v)).is_finite() for row in self.numbers(name) for v in row)
+
     def number(self, value: Any) -> Any:
         """A value at x* without its slopes by the state; with those by the settings that x* moves with."""
         if not self.moves:

@@ -18,19 +18,18 @@ from pbcgen.proof.claim import Status
 from pbcgen.symbolic.real import rational
 
 
-def _motor(target, k=1, beside=None, domain=None):
+def _motor(target, k=1, beside=None, domain=None, bend=0):
     """A motor with a wound field, its currents and speed; its energy is lost in the windings at rest, too.
 
-    ``beside`` is a further state that nothing moves.
+    ``beside`` is a further state that nothing moves; the storage may ``bend`` where the speed is 5.
     """
     field, armature, speed = x = [ca.SX.sym(name) for name in ("i_f", "i_a", "omega")]
     u = [ca.SX.sym("u_f"), ca.SX.sym("u_a")]
     f = [-field, -armature - k * field * speed, k * field * armature - speed / 10]
     more = [] if beside is None else [beside]
     g = [[1, 0], [0, 1], [0, 0], *[[0, 0] for _ in more]]
-    system = AffineSystem(
-        [*x, *more], u, [*f, *[0 for _ in more]], g, ca.sumsqr(ca.vertcat(*x, *more)) / 2, domain=domain
-    )
+    S = ca.sumsqr(ca.vertcat(*x, *more)) / 2 + bend * (speed - 5) * ca.fabs(speed - 5)
+    system = AffineSystem([*x, *more], u, [*f, *[0 for _ in more]], g, S, domain=domain)
     two = [1, 1]
     law = DynamicExtension(alpha=two, beta=two, R_c=two, K_c=two)
     return Design(system, target=target, law=law, sample_period="1e-3", name="motor")
@@ -69,6 +68,13 @@ def test_another_rest_shows_it_where_the_target_does_not():
     assert found.point.u != point.u
     (rates,) = plant.at(found.point, plant.system.xdot)
     assert all(abs(row[0]) < 1e-30 for row in rates)
+
+
+def test_a_storage_that_bends_abruptly_at_the_rest_shows_nothing_there():
+    """Its gradient is the same there, but it has no second derivatives, which the theorem is about."""
+    plant, point = _found(_motor({"i_f": 1, "omega": 5}, bend=1))
+    found = negative_response(plant, point)
+    assert found is None or found.point != point
 
 
 def test_other_rests_must_be_inside_of_the_domain():

@@ -217,12 +217,20 @@ class Function(Value):
         return self.field.function(name, self)
 
     @cached_property
+    def present(self) -> list[int]:
+        """The generators that occur, those of symbols from zero, those of atoms from -1 downwards."""
+        degrees = enumerate(zip(self.top.degrees(), self.bottom.degrees(), strict=True), -self.field.pool)
+        return [k for k, both in degrees if max(both) > 0]
+
+    @property
+    def arguments(self) -> list[Function]:
+        """The arguments of the atoms that occur."""
+        return [[*self.field.atoms.values()][-1 - k] for k in self.present if k < 0]
+
+    @cached_property
     def used(self) -> set[int]:
         """The symbols that occur, also inside of atoms."""
-        degrees = enumerate(zip(self.top.degrees(), self.bottom.degrees(), strict=True), -self.field.pool)
-        present = [k for k, both in degrees if max(both) > 0]
-        inside = [[*self.field.atoms.values()][-1 - k].used for k in present if k < 0]
-        return {k for k in present if k >= 0}.union(*inside)
+        return {k for k in self.present if k >= 0}.union(*(a.used for a in self.arguments))
 
     def number(self) -> fmpq | None:
         """The value of a constant."""
@@ -375,6 +383,10 @@ class Field:
     def positive(self, a: Function) -> bool:
         """Whether a function is certainly positive everywhere."""
         return self.everywhere(a.top) * self.everywhere(a.bottom) == 1
+
+    def has_poles(self, a: Function) -> bool:
+        """Whether a divisor in a function, or in the arguments of its atoms, may be zero somewhere."""
+        return not self.everywhere(a.bottom) or any(map(self.has_poles, a.arguments))
 
     def continued(self, slopes: list[Function]) -> list[Function]:
         """Derivatives of functions that may hold |a|, if they are continuous too. Raises NotCheckable."""
