@@ -23,7 +23,9 @@ from pbcgen.control.situation import Situation
 from pbcgen.models.gains import Matrix, Vector
 from pbcgen.models.laws import DynamicExtension, Integral, Law, NaturalDamping
 from pbcgen.passivity.plant import Plant
+from pbcgen.passivity.region import undefined
 from pbcgen.proof.claim import Status
+from pbcgen.proof.nonnegative import Everywhere
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.linear import Row, kernel, reduce_rows
 from pbcgen.symbolic.real import fraction, rational
@@ -174,6 +176,8 @@ class _Drift:
             symbols = ca.vertcat(system.x, system.u)
             moved = ca.substitute(moved, symbols, symbols + ca.vertcat(*star))
         field, (rate,) = plant.exact(moved)
+        if undefined(field, Everywhere(), system.n):
+            return None  # what cancels in a formula has no value beyond its poles either
         inner = _Inner(field, system.n, system.n + system.m)
         rows = []
         for value in rate.column(field.const(0)):

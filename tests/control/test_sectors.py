@@ -122,6 +122,30 @@ def test_what_sectors_do_not_show_is_refused(name):
     assert loop is None or absolutely_stable(found.situation, loop) is None
 
 
+def _cancelling(term):
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    f = [-x + 3 * y, -x - y + term(x, y)]
+    system = AffineSystem([x, y], ca.SX.sym("u"), f, [1, 0], x**2 + y**2, gamma=[x + y])
+    return Design(system, {"x": 0}, DynamicExtension(1, 1, 1, 1), sample_period="1e-3")
+
+
+CANCELLING = {
+    "logarithms": lambda x, y: ca.log(x + 2) * y + x * y - y * (ca.log(x + 2) + x),
+    "roots": lambda x, y: ca.sqrt(x + 2) * (y * ca.sqrt(x + 2)) - y * (x + 2),
+    "a pole": lambda x, y: y * (x + 3) / (x + 2) - y / (x + 2) - y,
+    "a pole in a function": lambda x, y: -ca.tanh(y * (x + 3) / (x + 2) - y / (x + 2)),
+}
+
+
+@pytest.mark.parametrize("name", CANCELLING)
+def test_a_model_without_values_everywhere_is_not_called_stable_everywhere(name):
+    found = derive(_cancelling(CANCELLING[name]))
+    claim = next(c for c in found.claims if c.claim == "globally-asymptotically-stable")
+    assert claim.status is Status.UNDECIDED
+    whole = derive(_cancelling(lambda x, y: -ca.tanh(y)))
+    assert next(c for c in whole.claims if c.claim == "globally-asymptotically-stable").status is Status.PROVED
+
+
 def test_a_limit_cycle_far_away_is_suspected_where_saturations_give_less():
     """Simulated from 0.3 m away, the device oscillates for ever at 0.18 m; only near x* does it settle."""
     found = derive(pbcgen.load("coupling_device"))
