@@ -17,9 +17,11 @@ from pbcgen.certify.attraction_witness import combined, eliminate, read, steps_t
 from pbcgen.certify.dissipation_witness import sampled_damping
 from pbcgen.certify.growth_witness import convex_growth, growth
 from pbcgen.certify.limits_witness import what_is_left
+from pbcgen.certify.sectors_witness import in_sectors
 from pbcgen.certify.settings_witness import adjustable
 from pbcgen.certify.velocity_witness import SQUARES, squares
 from pbcgen.certify.writing import Writing
+from pbcgen.control.absolute import METHOD
 from pbcgen.control.derive import Derivation
 from pbcgen.control.leaves import conserved
 from pbcgen.errors import UnsupportedOperation
@@ -221,7 +223,7 @@ class _Work:
         """`globally-asymptotically-stable`."""
         if claim.status is Status.REFUTED:
             return self._second(claim)
-        return dict(claim.certificate) or self._attraction
+        return in_sectors(self.system) if claim.method == METHOD else self._attraction
 
     @cached_property
     def _attraction(self) -> Witness:

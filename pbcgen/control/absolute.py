@@ -6,7 +6,7 @@ zeta, with ``a_i <= phi_i / z_i <= b_i``. For
     V = zeta^T P zeta / 2 + sum lambda_i int_0^{z_i} phi_i dz,   P > 0,   lambda_i >= 0, and 0 unless a_i >= 0,
 
 V' is a polynomial in (zeta, phi) where F is one. Because ``(phi_i - a_i z_i) (z_i - phi_i / b_i) >= 0`` (without the
-quotient where b_i is infinite, and with ``b_i z_i - phi_i`` where a_i < 0),
+quotient where b_i is infinite),
 
     -V' - sum tau_i (phi_i - a_i z_i) (z_i - phi_i / b_i) = positive definite form of (zeta, phi),   tau_i >= 0,
 
@@ -40,13 +40,12 @@ from scipy.linalg import matrix_balance
 from pbcgen.control.sectors import Polynomial, Sector, SectorLoop, plus
 from pbcgen.control.situation import Situation
 from pbcgen.errors import UnsupportedOperation
-from pbcgen.models.laws import DynamicExtension
 from pbcgen.proof.claim import Status
 from pbcgen.proof.cutting_planes import interior
 from pbcgen.proof.definite import positive_definite
 from pbcgen.symbolic.linear import Row, kernel, reduce_rows
 from pbcgen.symbolic.real import approximate, rational
-from pbcgen.symbolic.real_matrices import as_floats, weighted_sum
+from pbcgen.symbolic.real_matrices import as_floats, congruence, transpose, weighted_sum
 
 #: The method of the claim that this proves.
 METHOD = "absolute stability: sectors of the saturations and the S-procedure, definite forms over the rationals"
@@ -72,18 +71,15 @@ def sectors(situation: Situation) -> SectorLoop | None:
     return None if loop is None or loop.order > _MOST or loop.size > _LARGEST else loop
 
 
-def absolutely_stable(situation: Situation, loop: SectorLoop) -> tuple[str, dict[str, Any]] | None:
-    """Why x* attracts from everywhere, in words, and for a certificate; or None."""
+def absolutely_stable(situation: Situation, loop: SectorLoop) -> str | None:
+    """Why x* attracts from everywhere, in words; or None."""
     found = None if situation.plant.system.domain else storage_of(loop)
     if found is None:
         return None
     terms = ["a positive definite quadratic form of x - x* and the filters' states"]
     terms += ["integrals of what is in the sectors"] if any(found.popov) else []
     terms += ["cosh(beta_psi psi)"] if found.integral else []
-    why = f"V = {' and '.join(terms)}: V' < 0 but at x*, whatever is in the sectors a_i <= phi_i / z_i <= b_i"
-    channels = situation.plant.system.m
-    simple = isinstance(situation.base, DynamicExtension) and len(loop.sectors) == channels and not _unseen(loop)
-    return why, found.written() if simple else {}
+    return f"V = {' and '.join(terms)}: V' < 0 but at x*, whatever is in the sectors a_i <= phi_i / z_i <= b_i"
 
 
 def far_oscillation(loop: SectorLoop) -> str:
@@ -106,7 +102,7 @@ def far_oscillation(loop: SectorLoop) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Storage:
-    """P, and the weights lambda, tau of each sector, and mu of each integral term."""
+    """P, for the states as they are, and the weights lambda, tau of each sector, and mu of each integral term."""
 
     P: _Matrix
     popov: list[fmpq]
@@ -145,7 +141,8 @@ def storage_of(loop: SectorLoop) -> Storage | None:
         chosen = weighted_sum(t, P)
         kept = [[chosen[i][j] for j in held] for i in held]
         if all(positive_definite(matrix).status is Status.PROVED for matrix in (kept, weighted_sum(t, forms))):
-            return Storage(chosen, signs[:count], signs[count : 2 * count], signs[2 * count :])
+            P_zeta = chosen if loop.turn is None else congruence(transpose(loop.turn), chosen)
+            return Storage(P_zeta, signs[:count], signs[count : 2 * count], signs[2 * count :])
     return None
 
 
@@ -199,15 +196,10 @@ def _parts(loop: SectorLoop) -> tuple[list[tuple[int, int]], list[Polynomial]]:
 
 
 def _room_in(sector: Sector, phi: int) -> Polynomial:
-    """``(phi - a z) (z - phi / b)``, ``(phi - a z) z`` for b infinite, or ``(phi - a z) (b z - phi)`` for a < 0."""
+    """``(phi - a z) (z - phi / b)``, or ``(phi - a z) z`` for b infinite."""
     z = sector.argument
     above: Polynomial = {(phi,): fmpq(1)} | {key: -sector.least * c for key, c in z.items() if sector.least}
-    if sector.most is None:
-        below = dict(z)
-    elif sector.least < 0:
-        below = {key: sector.most * c for key, c in z.items()} | {(phi,): fmpq(-1)}
-    else:
-        below = z | {(phi,): -1 / sector.most}
+    below = z | ({} if sector.most is None else {(phi,): -1 / sector.most})
     total: Polynomial = {}
     for key, c in above.items():
         total = plus(total, {tuple(sorted((*key, *other))): c * v for other, v in below.items()})

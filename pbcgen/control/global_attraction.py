@@ -54,10 +54,9 @@ def globally(situation: Situation, by_lyapunov: bool, asymptotic: Claim, stored:
     if rate is not None:
         return _escaping(rate)
     loop = sectors(situation)
-    absolute = None if loop is None else absolutely_stable(situation, loop)
-    if absolute is not None:
-        why, numbers = absolute
-        return replace(_verdict(Status.PROVED, METHOD, why), certificate=numbers)
+    why = None if loop is None else absolutely_stable(situation, loop)
+    if why is not None:
+        return _verdict(Status.PROVED, METHOD, why)
     doubt = "" if loop is None else far_oscillation(loop)
     hint = f"simulate from far away; {proved_or_open.hint}" if doubt else proved_or_open.hint
     return replace(proved_or_open, evidence="; ".join(filter(None, [proved_or_open.evidence, doubt])), hint=hint)

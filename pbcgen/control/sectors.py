@@ -67,12 +67,14 @@ class SectorLoop:
         sectors: of phi.
         outputs: gamma~ where there are integral terms, theta = alpha tanh(beta psi).
         leaks: ``r / (alpha beta)^2`` of each of these.
+        turn: T, where these are other coordinates ``T zeta`` of the states.
     """
 
     rates: list[Polynomial]
     sectors: list[Sector]
     outputs: list[Polynomial]
     leaks: list[fmpq]
+    turn: list[list[fmpq]] | None = None
 
     @property
     def order(self) -> int:
@@ -109,9 +111,9 @@ class SectorLoop:
         channels = [[order + k for k in range(j, len(law), m)] + [theta + j] * bool(leaks) for j in range(m)]
         rates = [drift.rate(row, channels, order + len(law)) for row in drift.rows]
         rates += _filters(base, situation.plant.system.n, order)
-        return SectorLoop(rates, [*law, *own], [_linear(row) for row in N] if leaks else [], leaks)._straight()
+        return SectorLoop(rates, [*law, *own], [_linear(row) for row in N] if leaks else [], leaks).straight()
 
-    def _straight(self) -> SectorLoop:
+    def straight(self) -> SectorLoop:
         """The same in coordinates in which directions that no rate depends on are those of single states.
 
         Let n_i be a basis of these directions in echelon form with pivots k_i. The coordinates are the pivots, and
@@ -130,12 +132,14 @@ class SectorLoop:
         along = {k: row for k, row in reduce_rows(basis).items() if isinstance(k, int)}
         kept = [{key: c for key, c in rate.items() if not set(key) & along.keys()} for rate in self.rates]
         rates = list(kept)
+        turn = [[fmpq(int(i == j)) for j in range(self.order)] for i in range(self.order)]
         for k, row in along.items():
             for j, c in row.items():
                 if isinstance(j, int) and j != k and c != 0:
+                    turn[j][k] = -c
                     rates[j] = plus(rates[j], {key: -c * v for key, v in kept[k].items()})
         sectors = [replace(sector, argument=_turned(sector.argument, along)) for sector in self.sectors]
-        return SectorLoop(rates, sectors, [_turned(output, along) for output in self.outputs], self.leaks)
+        return SectorLoop(rates, sectors, [_turned(output, along) for output in self.outputs], self.leaks, turn)
 
 
 def _turned(argument: Polynomial, along: Mapping[int, Mapping[object, fmpq]]) -> Polynomial:

@@ -4,6 +4,7 @@ model     the text
 system    the model as exact functions, at x* in balls, and its closed loop
 sums      functions without negative values, as a certificate writes them
 settings  what may be set at run time
+sectors   loops with functions in sectors
 overall   what holds on the whole space
 velocity  mechanical systems in positions and velocities
 """

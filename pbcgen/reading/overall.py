@@ -1,4 +1,4 @@
-"""What global claims rest on: storages that grow without bound, or fall by sectors; and that x* is the only rest."""
+"""What global claims rest on: storages that grow without bound, and that x* is the only rest."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any
 
 from flint import arb, fmpq
 
-from pbcgen.reading.settings import Family
+from pbcgen.reading.sectors import Sectors
 from pbcgen.symbolic.plain.boxes import Box, ball, covered
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.formulas import combination, rational
 from pbcgen.symbolic.plain.matrices import Matrix, diagonal, dot, is_definite, plus, product, symmetric, transpose
 from pbcgen.symbolic.plain.outcomes import NotCheckable, require
 from pbcgen.symbolic.plain.spectra import krawczyk, preconditioned, stable
-from pbcgen.symbolic.plain.values import Field, apply, power, sign
+from pbcgen.symbolic.plain.values import apply, power, sign
 
 GLOBAL = "globally-asymptotically-stable"
 
@@ -22,7 +22,7 @@ GLOBAL = "globally-asymptotically-stable"
 Rests = tuple[list[int], list[Any]]
 
 
-class Overall(Family):
+class Overall(Sectors):
     """What a global claim rests on beside the invariant set.
 
     Two rests of the closed loop with the constant inputs U and ``Gamma = gamma + K_c^-1 U`` have
@@ -100,39 +100,6 @@ class Overall(Family):
         H = [[slopes(self.field, v)[k] for k in states] for v in (slopes(self.field, rest)[k] for k in states)]
         self.nonnegative(H, GLOBAL, witness)
         return states
-
-    def in_sectors(self) -> None:
-        """``V = zeta^T P zeta / 2 + sum lambda_i int phi_i dz_i + sum mu_i (cosh(beta psi_i) - 1) / beta^2`` decreases.
-
-        zeta is (x - x*, x_c); phi and theta are the saturated terms of ``z = gamma - gamma* + x_c`` and of psi. It
-        suffices that -V', less tau_i times ``phi_i (z_i - phi_i / (alpha beta)_i) >= 0``, is a positive definite form
-        of (zeta, phi, theta). To V', mu_i adds ``theta_i (gamma - gamma*)_i - r psi_i sinh(beta psi_i) / beta``, where
-        the last term is at least ``r theta_i^2 / (alpha beta)^2``.
-        """
-        m, k, gains, P = self.m, self.n + self.m, self.model.gains, self.storage(GLOBAL) or []
-        popov, sectors, integral = (self.given(GLOBAL, name) for name in ("popov", "sectors", "integral"))
-        require("dynamic-extension" in self.law and not self.model.domain, "this is for another law, or on a domain")
-        require(is_definite(P) and min([*popov, *sectors, *integral]) >= 0, "V may be negative, or a sector left")
-        field = Field(k + m + len(integral), self.field.pool, self.field.units)
-        zeta, phi, theta = field.symbols[:k], field.symbols[k : k + m], field.symbols[k + m :]
-        found = self.walk([a + b for a, b in zip(self.point[0], zeta, strict=False)], field.lift, aim=False)
-        away = [v - c for (v,), (c,) in zip(found["gamma"], self.numbers("gamma"), strict=True)]
-        z = [field.lift(a + b) for a, b in zip(away, zeta[self.n :], strict=True)]
-        held = [a + b for a, b in zip(phi, theta, strict=True)] if "integral" in self.law else phi
-        rates = self.misfits(found, [u - v for u, v in zip(self.point[1], held, strict=True)], {})
-        leaving = plus([[v] for v in phi], product(gains["K_c"], [[v] for v in zeta[self.n :]]))
-        rates += [-v for (v,) in product(gains["R_c"], leaving)]
-        rise = dot(zeta, [dot(row, rates) for row in P])
-        for i, (p, t) in enumerate(zip(popov, sectors, strict=True)):
-            slack = z[i] - phi[i] / self.stiffness[i][i]
-            rise = rise + phi[i] * (dot(slopes(field, z[i])[:k], rates) * p + slack * t)
-        for i, mu in enumerate(integral):
-            leak = gains["R_psi"][i][i] / (gains["alpha_psi"][0][i] * gains["beta_psi"][0][i]) ** 2
-            rise = rise + theta[i] * (away[i] - theta[i] * leak) * mu
-        require(not integral or gains["R_psi"] == diagonal([gains["R_psi"][i][i] for i in range(m)]), "filters mix")
-        form = [[v.number() for v in slopes(field, row)] for row in slopes(field, -rise)]
-        require(all(None not in row for row in form) and is_definite(form), "V may not decrease")
-        require(field.entire(), "the model may not be smooth everywhere")
 
     # --- rests -----------------------------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from typing import Any
@@ -40,15 +41,15 @@ class System:
         self.field = Field(self.n + self.m + len(self.inertia), *settings)
         self.field.whole = bool(document.get("whole_angles", False))
 
-    def walk(self, state: Sequence[Any], lift: Lift = fmpq, known: Known = None, aim: bool = True) -> dict[str, Matrix]:
-        """All named matrices of the model, perhaps but for its target, and of the formulas at a state of any kind."""
+    def walk(self, state: Sequence[Any], lift: Lift = fmpq, known: Known = None, wanted: str = "") -> dict[str, Matrix]:
+        """The named matrices of the model and of the formulas at a state of any kind; ``wanted`` is how names begin."""
         found: dict[str, Matrix] = {}
         inputs = {"state": state, "parameter": [lift(p) for p in self.model.parameters]}
         for formulas in (self.formulas, self.model.formulas):  # what the model states comes last, and stands
             own = known if formulas is self.model.formulas else None
-            names = [name for name in formulas.outputs if aim or not name.startswith("target ")]
-            wanted = [place for name in names for place in formulas.outputs[name][2].values()]
-            values = formulas.walk(lift, inputs, own, wanted)
+            names = [name for name in formulas.outputs if re.match(wanted, name)]
+            needed = [place for name in names for place in formulas.outputs[name][2].values()]
+            values = formulas.walk(lift, inputs, own, needed)
             found |= {name: formulas.matrix(name, values) for name in names}
         return found
 
@@ -94,10 +95,10 @@ class System:
         values = self.model.formulas.walk(lift, inputs, None, places) if places else []
         return [[fmpq(0) if place is None else values[place] for place in row] for row in self.inertia]
 
-    def moving(self, z: Sequence[Any], lift: Lift, aim: bool = True) -> dict[str, Matrix]:
+    def moving(self, z: Sequence[Any], lift: Lift, wanted: str = "") -> dict[str, Matrix]:
         """All named matrices in these coordinates."""
         known = dict(zip(self.velocities, z[self.half :], strict=True)) if self.in_velocities else {}
-        return self.walk(self.state_at(z, lift), lift, known, aim)
+        return self.walk(self.state_at(z, lift), lift, known, wanted)
 
     # --- as exact functions of the state ---------------------------------------------------------------------------
 
@@ -111,7 +112,7 @@ class System:
 
         Conditions of the target are left out: nothing asks that they are defined elsewhere than at x*.
         """
-        found = self.moving(variables(self.field.symbols[: self.n]), self.still, aim=False)
+        found = self.moving(variables(self.field.symbols[: self.n]), self.still, "(?!target )")
         self.field.closed, self.defined = True, self.field.entire(moduli=True)
         return found
 

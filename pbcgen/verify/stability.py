@@ -136,7 +136,7 @@ class Stability(Assumptions):
         """The Lyapunov function is radially unbounded, and x* is the only point of LaSalle's set."""
         witness = self.witness[_GLOBAL]
         if "popov" in witness:
-            return self.in_sectors()
+            return self.in_sectors(_GLOBAL)
         require(not self.model.domain, "the model is restricted to a domain")
         self.grows(witness)  # first, as nothing is said against a claim whose certificate has no witness
         self.lyapunov()
@@ -157,6 +157,8 @@ class Stability(Assumptions):
         """The storage decreases, where its damping is given; else the linearised sampled loop is Schur."""
         witness, whole = self.witness["sampled-stable"], self.domain["sampled-stable"] == "sampled loop, all x"
         if "Lambda" in witness and not (self.jitter and "natural-damping" in self.law):  # filters step by one period
+            grown = not (whole and "popov" in self.witness[_GLOBAL])
+            require(grown, "nothing shows that the storage grows", NotCheckable)
             self.once(self.proved_globally_asymptotically_stable if whole else self.proved_asymptotically_stable)
             return self._decreases()
         if self.jitter and not whole:
