@@ -346,6 +346,7 @@ _REFUTED: Mapping[str, _Maker] = {
     "hessian-condition": _direction(lambda d: _hessian(d, False)),
     "kc-bound": _direction(lambda d: _hessian(d, True)),
     "gain-definiteness": _gain,
+    "assumption-3": _state_and_input,
     "theta": _state_and_input,
     "measurability": _blind,
 }

@@ -31,7 +31,7 @@ from pbcgen.proof.lyapunov import Kind, lyapunov
 from pbcgen.proof.tree import cover
 from pbcgen.reading.overall import GLOBAL
 from pbcgen.symbolic.linear import Inconsistent, solve
-from pbcgen.symbolic.plain.elimination import Elimination, put_in
+from pbcgen.symbolic.plain.elimination import Elimination
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, product, transpose
 from pbcgen.symbolic.plain.outcomes import Fails, NotCheckable
@@ -122,29 +122,6 @@ class _Work:
         found = {name: chain.solved[k].number() for k, name in enumerate(system.states) if k in chain.solved}
         inside = system.inside({name: value for name, value in found.items() if value is not None})
         return not inside or any(system.field.everywhere(chain.reduced(e).top) for e in chain.equations)
-
-    def undamped_output(self, claim: Claim) -> Witness:
-        """`assumption-3` REFUTED: a set on which nothing is lost, and a place where the output is not zero."""
-        if claim.status is not Status.REFUTED:
-            return None
-        system, n = self.system, self.system.n
-        symbols = range(len(system.field.symbols))
-        found = (claim.counterexample or {}).get("x")
-        if isinstance(found, dict):
-            plant = self.derivation.plant
-            numbers = [str(found[name]) for name in (*plant.system.state_names, *plant.system.input_names)]
-            z = [rational(v) for v in numbers]
-            if sign(put_in(system.field, system.power_at(system.constants), z)) == -1:
-                return {"x": numbers}
-            chain = Elimination(system.field, [], [])
-            chain.solved = {k: system.field.lift(v) for k, v in enumerate(z)}
-            if chain.reduced(system.field.lift(system.power_at(system.constants))).top:
-                return None
-            return {"set": {str(k): self.terms.put(f"constant {v}") for k, v in enumerate(numbers)}, "z": numbers}
-        chain = Elimination(system.field, [system.field.lift(0)] * len(symbols), system.rows)
-        eliminate(chain, self.terms, [*symbols[n:], *symbols[:n]])
-        set_ = {str(k): self.terms.function(v) for k, v in chain.solved.items()}
-        return {"set": set_, "z": [str(fmpq(3 * k + 1, 64 * k + 70)) for k in symbols]}
 
     def limited(self, claim: Claim) -> Witness:
         """`saturation` where a force is compensated: what is left to each limit has no negative values."""
@@ -362,7 +339,6 @@ class _Work:
 _MAKERS = {
     "equilibrium": _Work.unassignable,
     "saturation": _Work.limited,
-    "assumption-3": _Work.undamped_output,
     "stable": _Work.besides,
     "asymptotically-stable": _Work.local,
     "globally-asymptotically-stable": _Work.everywhere,

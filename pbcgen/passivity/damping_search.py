@@ -21,12 +21,14 @@ from pbcgen.models.gains import Matrix
 from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.region import Region, search_with_inputs
 from pbcgen.passivity.structure import PowerStructure
-from pbcgen.symbolic.real import BITS, is_finite, precision, rational, sign, text
+from pbcgen.symbolic.real import BITS, Real, is_finite, precision, rational, sign, text
 
 #: Damping below this, relative to the rates, is looked at more closely.
 _WEAK = Fraction(1, 10**6)
 Floats = NDArray[np.float64]
 
+#: Denominators of states at which something may vanish exactly.
+_SIMPLE = 10**6
 #: Sizes of the flows that are aimed at, states to start from for each, Newton steps, and how near they must come.
 _SIZES, _STARTS, _STEPS, _NEAR = (1.0, 1e-2, 1e-4, 1e-6, 1e3, 1e8, 1e12), 3, 30, 1e-9
 
@@ -79,15 +81,24 @@ class Port:
         rates = ca.sumsqr(self.eta_rate) + ca.sumsqr(self.y)
         found = None if never_negative else self._search(self.dissipation, rates)
         found = found or self._search(self.dissipation - self.plant.number(_WEAK) * rates, rates)
-        if found is None:
-            return None
-        point, _ = found
+        return None if found is None else self._judged(found[0], rates)
+
+    def undamped_along(self, structure: PowerStructure, flow: Floats) -> Finding | None:
+        """Where the dissipation is zero although y is not, and its vector v is a multiple of ``flow``."""
+        found = (self._judged(point, ca.sumsqr(self.y)) for point in self._along(structure, flow))
+        return next((finding for finding in found if finding.shows), None)
+
+    def _judged(self, point: Sequence[Fraction], rates: ca.SX) -> Finding:
+        """The dissipation at a state and an input, and whether it is certainly not enough for the rates."""
+        loss, moving = self._at(point, self.dissipation, rates)
+        return Finding(self._named(point), text(loss, 9), sign(loss) in (0, -1) and sign(moving) == 1)
+
+    def _at(self, point: Sequence[Fraction], *values: ca.SX) -> list[Real]:
+        """Scalars at a state and an input."""
         n = self.plant.system.n
-        tape = self.plant.tape(self.dissipation, rates)
         with precision(BITS):
             x, u = [rational(v) for v in point[:n]], [rational(v) for v in point[n:]]
-            loss, moving = (matrix[0][0] for matrix in self.plant.walk(tape, x, u))
-            return Finding(self._named(point), text(loss, 9), sign(loss) in (0, -1) and sign(moving) == 1)
+            return [matrix[0][0] for matrix in self.plant.walk(self.plant.tape(*values), x, u)]
 
     def theta_negative(self, upsilon: Matrix, product: Sequence[Fraction]) -> Finding | None:
         """Where Theta is certainly negative, with its value for the dissipation."""
@@ -98,14 +109,11 @@ class Port:
         self, upsilon: Matrix, product: Sequence[Fraction], structure: PowerStructure, flow: Floats
     ) -> Finding | None:
         """The same where the vector v of the dissipation is a multiple of ``flow`` but for what is not dissipated."""
-        n = self.plant.system.n
-        tape = self.plant.tape(self._theta(upsilon, product)[0])
+        value = self._theta(upsilon, product)[0]
         for point in self._along(structure, flow):
-            with precision(BITS):
-                x, u = [rational(v) for v in point[:n]], [rational(v) for v in point[n:]]
-                form = self.plant.walk(tape, x, u)[0][0][0]
-                if is_finite(form) and sign(form) == -1:
-                    return Finding(self._named(point), text(form, 9), True)
+            (form,) = self._at(point, value)
+            if is_finite(form) and sign(form) == -1:
+                return Finding(self._named(point), text(form, 9), True)
         return None
 
     def _theta(self, upsilon: Matrix, product: Sequence[Fraction]) -> tuple[ca.SX, ca.SX]:
@@ -116,14 +124,15 @@ class Port:
         return self.dissipation - supplied, ca.sumsqr(excess)
 
     def _along(self, structure: PowerStructure, flow: Floats) -> Iterator[tuple[Fraction, ...]]:
-        """States of the region and inputs with such a v, rounded, by Newton's method from a few states."""
+        """States of the region and inputs with such a v and its y, rounded, by Newton's method from a few states."""
         system, generator = self.plant.system, np.random.default_rng(5)
-        v = system.xdot
+        v, psi = system.xdot, ca.jacobian(self.gamma, system.x)
+        rows = ca.vertcat(structure.dissipation(), psi)
         if structure.form == "F":
-            v = self.plant.gradient - ca.mtimes(ca.jacobian(self.gamma, system.x).T, system.u)
-        lost = ca.mtimes(structure.dissipation(), v)
-        z = ca.vertcat(system.x, system.u)
-        function = self.plant.doubles(lost, ca.jacobian(lost, z), structure.dissipation())
+            v = self.plant.gradient - ca.mtimes(psi.T, system.u)
+            rows = ca.vertcat(structure.dissipation(), ca.mtimes(psi, structure.matrix))
+        aimed, z = ca.mtimes(rows, v), ca.vertcat(system.x, system.u)
+        function = self.plant.doubles(aimed, ca.jacobian(aimed, z), rows)
         ends = [(lo if lo is not None else -1, hi if hi is not None else 1) for lo, hi in self.region.bounds]
         lower, upper = (np.array([float(end[k]) for end in (*ends, *[(-1, 1)] * system.m)]) for k in (0, 1))
         middle = (lower + upper) / 2
@@ -131,8 +140,8 @@ class Port:
             for k in range(_STARTS):
                 at = middle + k * (generator.uniform(lower, upper) - middle) / _STARTS
                 for _ in range(_STEPS):
-                    value, slope, B = function(at[: system.n], at[system.n :])
-                    wanted = size * B @ flow
+                    value, slope, matrix = function(at[: system.n], at[system.n :])
+                    wanted = size * matrix @ flow
                     left = np.ravel(value) - wanted
                     if not np.all(np.isfinite(left)) or not np.all(np.isfinite(slope)):
                         break
@@ -140,9 +149,10 @@ class Port:
                         break
                     at = at - np.linalg.lstsq(slope, left, rcond=None)[0]
                 if np.all(np.isfinite(at)):
-                    point = tuple(Fraction(f"{value:.16e}") for value in at)
-                    if self.region.contains(point[: system.n]):
-                        yield point
+                    simple = tuple(Fraction(value).limit_denominator(_SIMPLE) for value in at)
+                    for point in (simple, tuple(Fraction(f"{value:.16e}") for value in at)):
+                        if self.region.contains(point[: system.n]):
+                            yield point
 
     def _search(self, value: ca.SX, scale: ca.SX) -> tuple[tuple[Fraction, ...], str] | None:
         try:

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
+import numpy as np
 from flint import fmpq
 
 from pbcgen.errors import UnsupportedOperation
@@ -26,7 +27,7 @@ from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_semidefinite
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
-from pbcgen.symbolic.real import ZERO, Real, rational, text
+from pbcgen.symbolic.real import ZERO, Real, approximate, rational, text
 from pbcgen.symbolic.real_matrices import RealMatrix, SparseRow, dense, inverse, multiply, transpose
 
 
@@ -87,7 +88,7 @@ def assumption_3(
     if jump:
         why = f"the given eta may jump by `{jump}`, and has no derivative there"
         return NaturalDampingBounds(_given(plant), (), None, None, _undecided(why))
-    bounds = _bounds(plant, structure, gamma, matched, storage_proved)
+    bounds = _bounds(plant, structure, gamma, matched, storage_proved, where)
     if structure is not None and storage_proved and bounds.claim.status is not Status.PROVED:
         bounds = _varying_bounds(plant, structure, gamma, where) or bounds
     if bounds.claim.status is not Status.UNDECIDED:
@@ -112,7 +113,7 @@ def assumption_3(
 
 
 def _bounds(
-    plant: Plant, structure: PowerStructure | None, gamma: ca.SX, matched: bool, storage_proved: bool
+    plant: Plant, structure: PowerStructure | None, gamma: ca.SX, matched: bool, storage_proved: bool, where: Region
 ) -> NaturalDampingBounds:
     """What the constant part of the dissipation gives."""
     candidates, names = _candidates(plant, gamma)
@@ -125,7 +126,8 @@ def _bounds(
     y_solutions = [_range_solution(rows.B0, row) for row in rows.y]
     if any(solution is None for solution in y_solutions):
         k = next(k for k, s in enumerate(y_solutions) if s is None)
-        return NaturalDampingBounds(_given(plant), (), None, None, _undamped_output(plant, rows, k))
+        claim = _undamped_output(plant, structure, Port.of(plant, where, gamma, None), rows, k)
+        return NaturalDampingBounds(_given(plant), (), None, None, claim)
     still = next((k for k, row in enumerate(rows.y) if not any(v != 0 for v in row)), None)
     if still is not None:
         why = f"gamma of {plant.system.input_names[still]} never moves: the input does nothing"
@@ -344,25 +346,26 @@ def _unusable(plant: Plant, gamma: ca.SX, eta: ca.SX) -> Claim:
     return replace(claim, hint="give an eta whose gradient is orthogonal to that of gamma")
 
 
-def _undamped_output(plant: Plant, rows: _Rows, k: int) -> Claim:
+def _undamped_output(plant: Plant, structure: PowerStructure, port: Port, rows: _Rows, k: int) -> Claim:
+    """REFUTED where a state brings about a v without losses, but with an output of input k."""
     name = plant.system.input_names[k]
+    open_ = _undecided(f"no constant Lambda_c > 0 was found for the output of {name}")
     if not rows.complete:
-        return _undecided(f"no constant Lambda_c > 0 was found for the output of {name}")
-    v = _kernel_direction(rows.B0, rows.y[k])
+        return open_
+    flow = [approximate(v) for v in _kernel_direction(rows.B0, rows.y[k])]
+    found = port.undamped_along(structure, np.array(flow))
+    if found is None:
+        return open_
+    shown = ", ".join(f"{name} = {value}" for name, value in found.values.items())
     return Claim(
         "assumption-3",
         Status.REFUTED,
-        "all x",
-        "kernel of the dissipation, over the rationals",
-        f"the output of {name} is not damped: no Lambda_c > 0 exists",
+        port.region.text,
+        "kernel of the dissipation, and exact arithmetic at a state",
+        f"the output of {name} is not damped: no Lambda_c > 0 exists, as nothing is lost at {shown}",
         "use dynamic-extension, or model the dissipation at the input port",
-        {"v": [text(c) for c in v], "v^T B v": "0", "y": text(dot_real(rows.y[k], v))},
+        {"x": found.values, "u^T y - S'": found.dissipation},
     )
-
-
-def dot_real(a: Sequence[Real], b: Sequence[Real]) -> Real:
-    """The sum of products."""
-    return multiply([list(a)], [[entry] for entry in b])[0][0]
 
 
 def _kernel_direction(B0: Sequence[SparseRow], row: Sequence[Real]) -> list[Real]:

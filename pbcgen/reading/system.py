@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
-from flint import arb, fmpq, fmpq_mat
+from flint import arb, arb_mat, fmpq, fmpq_mat
 
 from pbcgen.reading.model import Model
 from pbcgen.reading.velocity import solves
@@ -84,9 +84,12 @@ class System:
 
     def coordinates(self, z: Sequence[Any]) -> list[Any]:
         """(q, v, u) for numbers (x, u) with x = (q, p), else these themselves."""
-        M = self.mass(z, fmpq)
-        p = [[v] for v in z[self.half : self.n]]
-        return [*z[: self.half], *(v for (v,) in product(inverse(M), p)), *z[self.n :]] if M else list(z)
+        M, p = self.mass(z, fmpq), z[self.half : self.n]
+        if not M:
+            return list(z)
+        exact = all(isinstance(entry, fmpq) for row in M for entry in row)
+        v = (fmpq_mat(M).solve if exact else arb_mat(M).solve)((fmpq_mat if exact else arb_mat)([[c] for c in p]))
+        return [*z[: self.half], *v.entries(), *z[self.n :]]
 
     def mass(self, z: Sequence[Any], lift: Lift) -> Matrix:
         """M at these positions."""

@@ -173,3 +173,25 @@ def test_a_state_with_enough_damping_refutes_nothing_in_a_certificate():
     for x in (["0"] * len(found), [*found[:2], "1", "1", "0"], found[:-1], [*found, "0"]):
         entry["witness"] = {"x": x}
         assert {f.claim: f.outcome for f in examine(document)}["theta"] == "fails"
+
+
+@pytest.mark.parametrize(
+    "friction", [ca.sinh, lambda p: p * ca.sqrt(1 + p**2), lambda p: p**3 + ca.tanh(p), lambda p: ca.asinh(p) + p**3]
+)
+def test_friction_beside_a_lossless_structure_is_not_overlooked(friction):
+    """Each is at least a multiple of p, so that there is a Lambda; the structure alone loses nothing."""
+    derivation, _ = _theta(_springs(friction, "1"))
+    claims = {c.claim: c.status for c in derivation.claims}
+    assert claims["assumption-3"] is not Status.REFUTED
+    assert claims["theta"] is not Status.REFUTED
+
+
+@pytest.mark.parametrize("friction", [lambda p: 0 * p, lambda p: p**3])
+def test_a_port_without_linear_friction_is_refuted_at_most_by_a_state(friction):
+    derivation, _ = _theta(_springs(friction, "1"))
+    claim = next(c for c in derivation.claims if c.claim == "assumption-3")
+    lossless = Fraction(0) == friction(Fraction(1))
+    assert claim.status == ("REFUTED" if lossless else "UNDECIDED")
+    if lossless:
+        assert claim.counterexample["u^T y - S'"] == "0"
+        assert {f.claim: f.outcome for f in examine(certificate(derivation))}["assumption-3"] == "checked"
