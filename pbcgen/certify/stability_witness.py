@@ -43,7 +43,7 @@ from pbcgen.verify.claims import LARGEST_ROUTH, bits_for
 from pbcgen.verify.stability import Stability
 
 #: Parts of the range of periods.
-_MOST_PERIODS = 200
+_MOST_PERIODS = 600
 _DIGITS = (5, 8, 12, 17)
 _RADIUS, _ROUNDS, _PLACES = "1e-70", 12, 80
 _MISFITS = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError)

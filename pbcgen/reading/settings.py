@@ -24,6 +24,8 @@ _AT_X_STAR = ["point", "star", "gamma", "stiffness", "shaped", "hessian_d", "hes
 _AT_X_STAR += ["continuous", "sampled", "is_hurwitz", "is_schur"]
 #: Newton's steps from the start of an unknown, and what a box around it is wider than its values.
 _STEPS, _LEAST = 12, fmpq(1, 10**60)
+#: Parts of the range of periods that vary.
+_PARTS = 6
 #: In the words of a domain, numbers have six digits.
 _ROUNDED = fmpq(1, 10**5)
 
@@ -136,18 +138,36 @@ class Family(Sums):
             other.__dict__.pop(name, None)
         return other
 
+    @property
+    def jitter(self) -> fmpq:
+        """The share by which periods vary."""
+        return rational(self.model.words.get("jitter", ["0"])[0])
+
+    @property
+    def periods(self) -> Box:
+        """The range of the periods, which may come in any sequence."""
+        return [(self.period * (1 - self.jitter), self.period * (1 + self.jitter))]
+
     def spread(self, cell: Box) -> tuple[Self, Self]:
         """The design in the middle of a cell, and over the cell with slopes."""
         balls = [ball(lo, hi) for lo, hi in cell]
         return self.at([(lo + hi) / 2 for lo, hi in cell]), self.at(balls, True)
 
     def passes(self, cell: Box) -> bool:
-        """Whether for all settings of a cell x* is in the domain, and the closed loop stable near it, sampled too."""
+        """Whether for all settings of a cell x* is in the domain, and the closed loop stable near it, sampled too.
+
+        Where periods vary, whatever their sequence is.
+        """
         middle, over = self.spread(cell)
         widths = [(hi - lo) / 2 for lo, hi in cell]
+        continuous, sampled = (middle.continuous, over.continuous, widths), [(middle.sampled, over.sampled, widths)]
+        (lo, hi), parts = self.periods[0], _PARTS if self.jitter else 0
+        for k in range(parts):
+            a, b = lo + (hi - lo) * k / parts, lo + (hi - lo) * (k + 1) / parts
+            moved = over.transition(Dual(ball(a, b), {len(cell): fmpq(1)}))
+            sampled.append((middle.transition((a + b) / 2), moved, [*widths, (b - a) / 2]))
         inside = self.inside(dict(zip(self.states, over.point[0], strict=True)), {1})
-        loops = (middle.continuous, over.continuous, widths, False), (middle.sampled, over.sampled, widths, True)
-        return inside and all(all_stable(*loop) for loop in loops)
+        return inside and all_stable([continuous], False) and all_stable(sampled, True)
 
     def room(self, k: int) -> Callable[[Sequence[Any]], Any]:
         """What is left to a limit of the inputs, as a function of the settings; the force is not compensated."""

@@ -344,31 +344,35 @@ class System:
         return A, self.numbers("g")
 
     @cached_property
-    def controller(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-        """(P, Q, C, D): ``xi' = P dx + Q xi``, ``du = C xi + D dx``; tanh has slope one at the target."""
+    def controller(self) -> tuple[Matrix, ...]:
+        """(k, H, Y, G, L, Z, V): ``w = k (H xi + Y dx)``, ``xi' = -(G w + L xi + Z dx)``, ``du = V dx`` less all w.
+
+        tanh has slope one at the target, and w are its saturated terms.
+        """
         gains, gamma, k = self.model.gains, self.gamma, self.stiffness
         one, zero = diagonal([fmpq(1)] * self.m), diagonal([fmpq(0)] * self.m)
+        none = product(zero, gamma)
         if "passive-output" in self.law:
             friction, (A, B) = product(diagonal(gains["k_p"][0]), gamma), self.plant
             D = product(inverse(plus(one, product(friction, B))), plus(product(k, gamma), product(friction, A)))
-            return [], [], [[]] * self.m, negative(D)
-        parts = [(product(gains["R_c"], k, gamma), product(gains["R_c"], plus(k, gains["K_c"])), k, product(k, gamma))]
+            return [], [], [], [], [], [], negative(D)
+        parts = [(k, one, gamma, gains["R_c"], product(gains["R_c"], gains["K_c"]), none)]
         if "natural-damping" in self.law:
             k = diagonal([a * b for a, b in zip(gains["alpha_l"][0], gains["beta_l"][0], strict=True)])
-            read, held = product(k, self.upsilon(len(self.star["eta"])), self.jacobian(self.star["eta"])), gains["K_l"]
-            parts.append((product(gains["R_l"], read), product(gains["R_l"], k, held), product(k, held), read))
+            read = product(self.upsilon(len(self.star["eta"])), self.jacobian(self.star["eta"]))
+            parts.append((k, gains["K_l"], read, gains["R_l"], zero, none))
         if "integral" in self.law:
             k = diagonal([a * b for a, b in zip(gains["alpha_psi"][0], gains["beta_psi"][0], strict=True)])
-            parts.append((negative(product(k, gamma)), gains["R_psi"], k, product(zero, gamma)))
-        P, C = blocks([[part[0]] for part in parts]), blocks([[part[2] for part in parts]])
-        Q = blocks([[part[1] if part is other else zero for other in parts] for part in parts])
-        D = product(zero, gamma)
+            parts.append((k, one, none, zero, gains["R_psi"], negative(product(k, gamma))))
+        V = none
         if self.compensated:
             q = variables(self.point[0], 3 if self.moves else 2)[: self.half]
-            D = self.hessian(self.potential(q, fmpq))[: self.m]
-        for part in parts:
-            D = plus(D, part[3], -1)
-        return negative(P), negative(Q), negative(C), D
+            V = self.hessian(self.potential(q, fmpq))[: self.m]
+        k, H, G, L = (
+            blocks([[part[i] if part is other else zero for other in parts] for part in parts]) for i in (0, 1, 3, 4)
+        )
+        Y, Z = (blocks([[part[i]] for part in parts]) for i in (2, 5))
+        return k, H, Y, G, L, Z, V
 
     def upsilon(self, s: int) -> Matrix:
         """The gain Upsilon, m x s."""
@@ -377,8 +381,17 @@ class System:
     @cached_property
     def continuous(self) -> Matrix:
         """The Jacobian of the closed loop in (x, xi)."""
-        (A, B), (P, Q, C, D) = self.plant, self.controller
-        return blocks([[plus(A, product(B, D)), product(B, C)], [P, Q]])
+        (A, B), (k, H, Y, G, L, Z, V) = self.plant, self.controller
+        if not k:
+            return plus(A, product(B, V))
+        kY, kH, added = product(k, Y), product(k, H), self._added
+        rows = [plus(A, product(B, plus(V, product(added, kY), -1))), negative(product(B, added, kH))]
+        return blocks([rows, [negative(plus(Z, product(G, kY))), negative(plus(L, product(G, kH)))]])
+
+    @property
+    def _added(self) -> Matrix:
+        """The matrix that adds up what the saturated terms give to each input."""
+        return blocks([[diagonal([fmpq(1)] * self.m)] * (len(self.controller[0]) // self.m)])
 
     @property
     def period(self) -> fmpq:
@@ -390,22 +403,36 @@ class System:
         """The transition over one period."""
         return self.transition(self.period)
 
+    @property
+    def step(self) -> tuple[Matrix, Matrix, Matrix]:
+        """``xi+ = x dx + xi xi`` by backward Euler, and u in (dx, xi) with the updated xi.
+
+        u follows from w, for which ``(I + N) w = c``: so what is large in a stiff filter is added and not subtracted.
+        """
+        k, H, Y, G, L, Z, V = self.controller
+        if not k:
+            return [], [], V
+        h, one = self.period, diagonal([fmpq(1)] * len(k))
+        own = inverse(plus(one, plus(L, product(G, k, H)), h))
+        held = product(k, H, inverse(plus(one, L, h)))
+        c = blocks([[plus(product(k, Y), product(held, Z), -h), held]])
+        w = product(inverse(plus(one, product(held, G), h)), c)
+        x = product(own, plus(Z, product(G, k, Y)), diagonal([-h] * self.n))
+        return x, own, plus(blocks([[V, diagonal([fmpq(0)] * self.m, len(k))]]), product(self._added, w), -1)
+
     def transition(self, time: Any) -> Matrix:
         """The transition over some time, for which the controller takes its period.
 
-        u follows from the updated xi (backward Euler), and is held. With a delay the past inputs that still act are
+        u is held. With a delay the past inputs that still act are
         states too, the latest first, and two inputs share a period.
         """
-        (A, B), (P, Q, C, D) = self.plant, self.controller
-        h, k, m = self.period, self.n + len(Q), self.m
+        (A, B), (x, xi, u) = self.plant, self.step
+        k, m = self.n + len(xi), self.m
         delay = rational(self.model.words.get("delay", ["0"])[0])
         whole = int(delay.p // delay.q)
         early = delay - whole
         past = whole + (early > 0)
         unit, later = diagonal([fmpq(1)] * (k + past * m)), [fmpq(0)] * (past * m)
-        xi = inverse(plus(diagonal([fmpq(1)] * len(Q)), Q, -h)) if Q else []
-        x = product(xi, P, diagonal([h] * self.n)) if Q else []
-        u = blocks([[plus(D, product(C, x)), product(C, xi)]]) if Q else D
         inputs = [*([*row, *later] for row in u), *unit[k:]]
         moved = unit[: self.n]
         for share, ago in [(early, past)] * (early > 0) + [(1 - early, whole)]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any
 
-from flint import arb, arb_mat, fmpq
+from flint import arb_mat, fmpq
 
 from pbcgen.reading.overall import GLOBAL as _GLOBAL
 from pbcgen.symbolic.plain.boxes import Box, ball, covered, shown
@@ -15,8 +15,8 @@ from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.formulas import combination, rational
 from pbcgen.symbolic.plain.matrices import Matrix, diagonal, dot, is_definite, plus, product, transpose
 from pbcgen.symbolic.plain.outcomes import Fails, NotCheckable, require
-from pbcgen.symbolic.plain.spectra import definite_about, stable
-from pbcgen.symbolic.plain.values import Dual, partial, sign
+from pbcgen.symbolic.plain.spectra import all_stable, stable
+from pbcgen.symbolic.plain.values import Dual, sign
 from pbcgen.verify.assumptions import Assumptions
 
 
@@ -170,34 +170,23 @@ class Stability(Assumptions):
         return require(self.is_schur, "the linearised sampled loop is not Schur")
 
     def falling(self, P: Matrix) -> Callable[[str, Box], bool]:
-        """Whether a quadratic form decreases with all periods of a part of their range: about its middle, by slopes."""
+        """Whether a quadratic form decreases with all periods of a part of their range."""
 
-        def lost(time: Any) -> Matrix:
+        def rise(time: Any) -> Matrix:
             step = self.transition(time)
-            return plus(P, product(transpose(step), P, step), -1)
+            return plus(product(transpose(step), P, step), P, -1)
 
         def falls(kind: str, part: Box) -> bool:
             ((lo, hi),) = part
-            here, over = lost((lo + hi) / 2), lost(Dual(ball(lo, hi), {0: fmpq(1)}))
-            slope = [[partial(v, 0) for v in row] for row in over]
-            return kind == "." and definite_about(here, plus(here, slope, arb(0, arb(hi - lo) / 2)))
+            here, over = rise((lo + hi) / 2), rise(Dual(ball(lo, hi), {0: fmpq(1)}))
+            return kind == "." and all_stable([(here, over, [(hi - lo) / 2])], False)
 
         return falls
-
-    @property
-    def periods(self) -> Box:
-        """The range of the periods, which may come in any sequence."""
-        return [(self.period * (1 - self.jitter), self.period * (1 + self.jitter))]
 
     @cached_property
     def is_schur(self) -> bool | None:
         """Whether the linearised sampled loop is Schur; None if that is not certain."""
         return stable(self.sampled, True, self.storage("sampled-stable"))
-
-    @property
-    def jitter(self) -> fmpq:
-        """The share by which periods vary."""
-        return rational(self.model.words.get("jitter", ["0"])[0])
 
     def refuted_sampled_stable(self) -> None:
         """An eigenvalue outside the unit disc; or what shows that x* does not attract stays so with held inputs."""
@@ -231,7 +220,6 @@ class Stability(Assumptions):
     def proved_adjustable(self) -> None:
         """All settings have an x* that meets the target; near it the loop is stable, sampled too; the inputs fit."""
         witness = self.witness["adjustable"]
-        require(not self.jitter, "periods that vary", NotCheckable)
         cells = witness["cells"]
         require(self.model.settings and self.rests(), "the settings have other equilibria")
         passed = covered(cells, self.box, lambda kind, part: kind == "." and self.passes(part))

@@ -2,24 +2,27 @@
 
 import copy
 import json
+from fractions import Fraction
 
 import numpy as np
 import pytest
-from certificates import forged, outcomes, signed
-from flint import fmpq
+from certificates import forged, fully_measured, outcomes, signed
+from flint import arb_mat, fmpq
 from scipy.linalg import expm
 
 from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.models.loader import load
-from pbcgen.symbolic.real import approximate, precision
+from pbcgen.sampling.transition import Transition
+from pbcgen.symbolic.plain.matrices import diagonal
+from pbcgen.symbolic.real import approximate, ball, precision, rational
 from pbcgen.verify.stability import Stability
 
 
 @pytest.fixture(scope="module")
 def varied():
-    """Half a sample of delay, and periods that vary by a tenth."""
-    document = json.loads(json.dumps(certificate(derive(load("rlc").with_(jitter="1/10", delay="1/2")))))
+    """Half a sample of delay, and periods that vary by a fifth."""
+    document = json.loads(json.dumps(certificate(derive(load("rlc").with_(jitter="1/5", delay="1/2")))))
     assert outcomes(document)["sampled-stable"] == "checked"
     return document
 
@@ -54,13 +57,40 @@ def test_periods_that_vary_more_are_not_believed(varied, longest):
     ] == ("fails")
 
 
+def test_modes_that_are_gone_long_before_the_sample_are_no_obstacle():
+    """The coupling device has a mode that decays forty times per period."""
+    document = json.loads(json.dumps(certificate(derive(load("coupling_device").with_(jitter="0.5")))))
+    assert outcomes(document)["sampled-stable"] == "checked"
+    tree = next(e["witness"] for e in document["claims"] if e["claim"] == "sampled-stable")["periods"]
+    assert len(tree) > 20
+    assert _with_periods(document, periods=".") == "fails"
+    slow = load("coupling_device").with_(jitter="0.5", sample_period="1e-1")
+    assert outcomes(forged(document, slow))["sampled-stable"] == "fails"
+
+
+@pytest.mark.parametrize("name", ["coupling_device", "pera_integral", "pera", "rlc", "fully_measured"])
+def test_the_transition_is_that_of_the_provers(name):
+    design = fully_measured() if name == "fully_measured" else load(name)
+    derivation = derive(design)
+    system = Stability(json.loads(json.dumps(certificate(derivation))), 64)
+    h = design.sample_period
+    with precision(600):
+        own = Transition(derivation.situation.loop, Fraction(0))
+        expected = own.real(own.jet(ball(rational(h)))).c0
+        found = arb_mat(system.sampled)
+        for z in (0, 1, Fraction(1, 3), -2):  # their states may be scaled
+            shift = arb_mat(diagonal([rational(z)] * len(system.sampled)))
+            assert (found - shift).det().overlaps((expected - shift).det())
+
+
 def test_the_controller_steps_by_its_own_period(varied):
     """The transition over another time is that of the plant under what is held, with the filter's step as it was."""
     with precision(600):
         system = Stability(varied, 16)
-        (A, B), (P, Q, C, D) = system.plant, system.controller
+        (A, B), pieces = system.plant, system.controller
         step = np.array([[approximate(v) for v in row] for row in system.transition(fmpq(13, 100000))])
-    A, B, P, Q, C, D = (np.array([[approximate(v) for v in row] for row in M]) for M in (A, B, P, Q, C, D))
+    A, B, k, H, Y, G, L, Z, V = (np.array([[approximate(v) for v in row] for row in M]) for M in (A, B, *pieces))
+    P, Q, C, D = -(Z + G @ k @ Y), -(L + G @ k @ H), -k @ H, V - k @ Y
     h, time, n = 1e-4, 1.3e-4, len(A)
     filtered = np.linalg.inv(np.eye(len(Q)) - h * Q)
     xi = np.hstack([filtered @ (h * P), filtered])

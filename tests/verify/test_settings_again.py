@@ -226,13 +226,13 @@ def test_discs_hold_for_all_matrices_of_a_family(seed):
         centre = [[_number(v) for v in row] for row in exact]
         moves = [[_number(Fraction(float(e))) for e in row] for row in E.tolist()]
         over = [[Dual(v, {0: e}) for v, e in zip(p, q, strict=True)] for p, q in zip(centre, moves, strict=True)]
-        if all_stable(centre, over, [_number(Fraction(width))], False):
+        if all_stable([(centre, over, [_number(Fraction(width))])], False):
             passed += 1
             for t in np.linspace(-width, width, 41):
                 assert max(np.linalg.eigvals(A + t * E).real) < 0
     assert 2 <= passed < 6
     unstable = [[_number(Fraction(float(v))) for v in row] for row in _random(rng, n, False).tolist()]
-    assert not all_stable(unstable, unstable, [], False)
+    assert not all_stable([(unstable, unstable, [])], False)
 
 
 def _number(value):
@@ -266,7 +266,7 @@ def _held(A, B, h):
 def test_the_continuous_and_the_sampled_loop_must_both_be_stable(monkeypatch):
     document, _ = _document("a target at the limit")
     for stable, outcome in (((True, True), "checked"), ((True, False), "fails"), ((False, True), "fails")):
-        monkeypatch.setattr(settings, "all_stable", lambda middle, over, widths, discrete, s=stable: s[discrete])
+        monkeypatch.setattr(settings, "all_stable", lambda family, discrete, s=stable: s[discrete])
         assert outcomes(document)[ADJUSTABLE] == outcome, stable
 
 
@@ -274,3 +274,21 @@ def test_a_witness_that_was_not_found_is_recorded_as_missing():
     document, entry = _document("target and gains")
     entry["witness"] = None
     assert outcomes(signed(document))[ADJUSTABLE] == "recorded"
+
+
+def test_periods_that_vary_are_part_of_what_is_checked():
+    own = load("rlc").with_(gain_ranges={"alpha": ("0.04", "0.0485")}, delay="1/2", jitter="1/100")
+    document = json.loads(json.dumps(certificate(derive(own))))
+    assert outcomes(document)[ADJUSTABLE] == "checked"
+    assert outcomes(_model(document, "jitter 1/100", "jitter 99/100"))[ADJUSTABLE] == "fails"
+
+
+def test_gains_of_stiff_filters_take_few_cells():
+    """What a stiff filter adds up is not subtracted again."""
+    ranges = {"K_c": ("5e5", "2e6"), "R_c": ("0.2", "0.5"), "R_l": (30, 36)}
+    document = json.loads(json.dumps(certificate(derive(load("coupling_device").with_(gain_ranges=ranges)))))
+    assert outcomes(document)[ADJUSTABLE] == "checked"
+    entry = next(e for e in document["claims"] if e["claim"] == ADJUSTABLE)
+    assert entry["witness"]["cells"].count(".") < 100
+    entry["witness"]["cells"] = "."
+    assert outcomes(signed(document))[ADJUSTABLE] == "fails"

@@ -56,12 +56,24 @@ def krawczyk(function: Map, centre: Sequence[fmpq], radius: fmpq) -> list[arb] |
 
 
 def zero_order_hold(A: Matrix, B: Matrix, h: Any) -> tuple[Matrix, Matrix]:
-    """``x' = A x + B u`` with u constant over h: (e^{Ah}, int_0^h e^{As} ds B)."""
-    n, m = len(A), len(B[0])
-    rows = [[v * h for v in (*a, *b)] for a, b in zip(A, B, strict=True)] + [[fmpq(0)] * (n + m)] * m
-    value, slopes = _apart(rows)
-    held = _together(value.exp(), {k: _slope_of_exp(value, s) for k, s in slopes.items()})[:n]
-    return [row[:n] for row in held], [row[n:] for row in held]
+    """``x' = A x + B u`` with u constant over h: (e^{Ah}, int_0^h e^{As} ds B), blocks of ``exp([[A, B], [0, 0]] h)``.
+
+    A time in a ball is its middle t, after which fast modes are gone, and what is left, s: with X this matrix,
+    ``exp(X (t + s)) = exp(X t) + X exp(X t) s Y``, where Y is a mean of ``exp(X r)`` with r from 0 to s.
+    """
+    n, time = len(A), plain(h)
+    X = [[*a, *b] for a, b in zip(A, B, strict=True)] + [[fmpq(0)] * (n + len(B[0]))] * len(B[0])
+    middle = arb(time).mid() if isinstance(time, arb) else time
+    found, mean = (_exponential(X, part) for part in (middle, time - middle))
+    held, rate = (plus(a, product(X, a, mean), time - middle) for a in (found, product(X, found)))
+    if isinstance(h, Dual):
+        held = plus(held, rate, Dual(fmpq(0), h.slope))
+    return [row[:n] for row in held[:n]], [row[n:] for row in held[:n]]
+
+
+def _exponential(a: Matrix, h: Any) -> Matrix:
+    value, slopes = _apart([[v * h for v in row] for row in a])
+    return _together(value.exp(), {k: _slope_of_exp(value, s) for k, s in slopes.items()})
 
 
 def _slope_of_exp(a: arb_mat, slope: arb_mat) -> arb_mat:
@@ -71,19 +83,21 @@ def _slope_of_exp(a: arb_mat, slope: arb_mat) -> arb_mat:
     return arb_mat([row[size:] for row in whole[:size]])
 
 
-def all_stable(centre: Matrix, over: Matrix, widths: Sequence[fmpq], discrete: bool) -> bool:
-    """Whether every ``centre + sum_k t_k S_k`` with ``abs(t_k) <= widths[k]`` is stable, S_k the slopes in ``over``.
+def all_stable(family: Sequence[tuple[Matrix, Matrix, Sequence[fmpq]]], discrete: bool) -> bool:
+    """Whether all products of matrices of a family decay, or if it is not discrete the motion of each.
 
-    In the eigenvectors of the centre, with positive weights: by the discs about the entries on the diagonal. Where some
-    eigenvalues nearly meet, their eigenvectors nearly do: then an orthogonal basis of their span serves too.
+    A member (centre, over, widths) is all ``centre + sum_k t_k S_k`` with ``abs(t_k) <= widths[k]``, S_k the slopes in
+    ``over``. In the eigenvectors of the first centre, with positive weights common to all: by the discs about the
+    entries on the diagonal. Where some eigenvalues nearly meet, their eigenvectors nearly do: then an orthogonal basis
+    of their span serves too.
     """
-    own, slopes = arb_mat(centre), _apart(over)[1]
+    members = [(acb_mat(arb_mat(centre)), _apart(over)[1], widths) for centre, over, widths in family]
     for apart in (fmpq(0), fmpq(1, 3)):
-        V = _eigenvectors(own, apart)
-        back = V.inv()
-        modal = back * acb_mat(own) * V
-        for k, s in slopes.items():
-            modal += back * acb_mat(s) * V * acb(arb(0, arb(widths[k])))
+        V = _eigenvectors(arb_mat(family[0][0]), apart)
+        back, modal = V.inv(), []  # type: acb_mat, list[acb_mat]
+        for centre, slopes, widths in members:
+            moves = (back * acb_mat(s) * V * acb(arb(0, arb(widths[k]))) for k, s in slopes.items())
+            modal.append(sum(moves, back * centre * V))
         if _in_discs(modal, discrete):
             return True
     return False
@@ -112,20 +126,20 @@ def _eigenvectors(a: arb_mat, apart: fmpq) -> acb_mat:
     return acb_mat(transpose(columns))
 
 
-def _in_discs(modal: acb_mat, discrete: bool) -> bool:
-    """Whether every disc about an entry on the diagonal is in the unit disc, or in the left half-plane."""
-    size = range(modal.nrows())
-    margins = [1 - abs(modal[i, i]) if discrete else -modal[i, i].real for i in size]
-    radii = [[abs(modal[i, j]) * int(i != j) for j in size] for i in size]
-    reach = plus(diagonal([m.mid() for m in margins]), [[r.abs_upper() for r in row] for row in radii], -1)
-    weights = [d.mid() for (d,) in arb_mat(reach).solve(arb_mat([[1]] * len(margins))).tolist()]
-    return all(d > 0 and dot(row, weights) < m * d for d, row, m in zip(weights, radii, margins, strict=True))
-
-
-def definite_about(centre: Matrix, over: Matrix) -> bool:
-    """Whether a symmetric matrix is positive definite, and all others of a connected set: none of them is singular."""
-    nearly_one = product(inverse([[arb(v).mid() for v in row] for row in centre]), over)
-    return bool(is_definite(centre)) and _in_discs(acb_mat(-arb_mat(nearly_one)), False)
+def _in_discs(family: Sequence[acb_mat], discrete: bool) -> bool:
+    """Whether with common weights all discs about entries on the diagonal are in the unit disc, or left half-plane."""
+    size, shares = range(family[0].nrows()), []
+    for modal in family:
+        margins = [1 - abs(modal[i, i]) if discrete else -modal[i, i].real for i in size]
+        if not all(m > 0 for m in margins):
+            return False
+        shares.append([[abs(modal[i, j]) / margins[i] * int(i != j) for j in size] for i in size])
+    worst = [[max(rows[i][j].abs_upper() for rows in shares) for j in size] for i in size]
+    weights = [
+        d.mid()
+        for (d,) in arb_mat(plus(diagonal([arb(1)] * len(size)), worst, -1)).solve(arb_mat([[1]] * len(size))).tolist()
+    ]
+    return all(d > 0 and dot(row, weights) < d for rows in shares for d, row in zip(weights, rows, strict=True))
 
 
 def stable(a: Matrix, discrete: bool, storage: Matrix | None = None) -> bool | None:
