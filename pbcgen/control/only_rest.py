@@ -23,17 +23,20 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.coordinates import injective
 from pbcgen.passivity.inertia import missing_for_definiteness
 from pbcgen.passivity.lasalle import InvariantSet
+from pbcgen.passivity.plant import Plant
 from pbcgen.passivity.unbounded import currents, depends_on_currents
 from pbcgen.proof.claim import Status
 from pbcgen.proof.definite import positive_definite
-from pbcgen.proof.elimination import semidefinite
-from pbcgen.proof.nonnegative import nonnegative, positive
+from pbcgen.proof.elimination import has_one_sign, is_regular, semidefinite
+from pbcgen.proof.nonnegative import nonnegative
 from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import lower, upper
 
 #: Convexity with kappa in an enclosure is looked at for so many inputs.
 _MOST_FORCES = 4
+#: Determinants of larger matrices are not written out.
+_LARGEST_DETERMINANT = 8
 
 
 def only_rest(situation: Situation) -> str | None:
@@ -152,13 +155,20 @@ def _convex(situation: Situation) -> bool:
     if structure.form == "A":
         return _is_convex(situation)
     try:
-        field, (F, rho) = plant.exact(ca.det(structure.matrix), structure.remainder)
+        _, (F, rho) = plant.exact(structure.matrix, structure.remainder)
+        if any(not entry.is_zero() for entry in rho.entries.values()):
+            return False
+        return (is_regular(F.rows()) or _has_determinant(plant, structure.matrix)) and _is_convex(situation)
     except (UnsupportedOperation, ZeroDivisionError):
         return False
-    zero = field.const(0)
-    determinant = F.scalar(zero)
-    regular = not determinant.is_zero() and (positive(determinant) or positive(-determinant))
-    return regular and all(entry.is_zero() for entry in rho.column(zero)) and _is_convex(situation)
+
+
+def _has_determinant(plant: Plant, matrix: ca.SX) -> bool:
+    """Whether the determinant of a small matrix has one sign everywhere, though no entry may have one."""
+    if matrix.shape[0] > _LARGEST_DETERMINANT:
+        return False
+    field, (value,) = plant.exact(ca.det(matrix))
+    return has_one_sign(value.scalar(field.const(0)))
 
 
 def _monotone(situation: Situation, found: InvariantSet) -> bool:

@@ -27,7 +27,7 @@ from pbcgen.passivity.lasalle import InvariantSet, invariant_set
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.passivity.unbounded import currents, depends_on_currents
 from pbcgen.proof.claim import Claim, Status
-from pbcgen.proof.elimination import definite, semidefinite
+from pbcgen.proof.elimination import definite, has_one_sign, is_regular, semidefinite
 from pbcgen.proof.known import BOUNDED_KINDS
 from pbcgen.proof.nonnegative import positive
 from pbcgen.proof.spectrum import hurwitz
@@ -201,7 +201,7 @@ class Stability:
             return True
         try:
             F, rho = self.wide.exact(structure.matrix, structure.remainder)
-            return all(row[0].is_zero() for row in rho) and _is_regular_by_pivots(F)
+            return all(row[0].is_zero() for row in rho) and is_regular(F)
         except GIVE_UP:
             return False
 
@@ -381,34 +381,9 @@ def _diagonal(wide: Wide, values: Sequence[Fraction]) -> ca.SX:
     return ca.diag(ca.vertcat(*map(wide.plant.number, values)))
 
 
-def _is_regular_by_pivots(matrix: Sequence[Sequence[Quotient]]) -> bool:
-    """Whether elimination finds pivots that are proved to vanish nowhere: the matrix is regular for all x."""
-    rows = [list(row) for row in matrix]
-    while rows:
-        at = next(
-            ((i, j) for i, row in enumerate(rows) for j, e in enumerate(row) if not e.is_zero() and _has_one_sign(e)),
-            None,
-        )
-        if at is None:
-            return False
-        i, j = at
-        head = rows.pop(i)
-        rows = [
-            [entry - row[j] / head[j] * head[k] for k, entry in enumerate(row) if k != j]
-            if not row[j].is_zero()
-            else [entry for k, entry in enumerate(row) if k != j]
-            for row in rows
-        ]
-    return True
-
-
-def _has_one_sign(function: Quotient) -> bool:
-    return positive(function) or positive(-function)
-
-
 def _is_regular(matrix: Sequence[Sequence[Quotient]]) -> bool:
     """Whether the determinant has one sign."""
-    return _has_one_sign(_characteristic(matrix)[-1])
+    return has_one_sign(_characteristic(matrix)[-1])
 
 
 def _characteristic(matrix: Sequence[Sequence[Quotient]]) -> list[Quotient]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
-from heapq import heappop, heappush
+from heapq import heapify, heappop, heappush
 
 from pbcgen.proof.extrema import Bounds, term_bounds
-from pbcgen.proof.nonnegative import Everywhere, Prover
+from pbcgen.proof.nonnegative import Everywhere, Prover, positive
 from pbcgen.symbolic.field import Quotient, TooLarge
 
 #: The rows of a matrix, each with all entries or with some, by column; the others are zero.
@@ -145,6 +145,51 @@ def _definite(rows: dict[int, dict[int, Quotient]], prover: Prover) -> bool:
             return False
         pivots.changed(_eliminate(rows, pivot))
     return True
+
+
+def is_regular(matrix: Rows) -> bool:
+    """Whether a square matrix of functions has an inverse everywhere: by pivots that are proved to vanish nowhere.
+
+    Rows with few entries are taken first, and in them columns with few, which stays sparse.
+    """
+    rows = _as_rows(matrix)
+    columns: dict[int, set[int]] = {}
+    for i, row in rows.items():
+        for j in row:
+            columns.setdefault(j, set()).add(i)
+    heap = [(len(row), i) for i, row in rows.items()]
+    heapify(heap)
+    while heap:
+        size, i = heappop(heap)
+        if i not in rows or size != len(rows[i]):
+            continue
+        row = rows[i]
+        usable = (j for j, entry in row.items() if has_one_sign(entry))
+        pivot = min(usable, key=lambda j: (row[j].constant() is None, len(columns[j])), default=None)
+        if pivot is None:
+            continue
+        del rows[i]
+        for j in row:
+            columns[j].discard(i)
+        for k in columns.pop(pivot):
+            factor = rows[k].pop(pivot) / row[pivot]
+            for j, entry in row.items():
+                if j == pivot:
+                    continue
+                value = rows[k][j] - factor * entry if j in rows[k] else -factor * entry
+                if value.is_zero():
+                    rows[k].pop(j, None)
+                    columns[j].discard(k)
+                else:
+                    rows[k][j] = value
+                    columns[j].add(k)
+            heappush(heap, (len(rows[k]), k))
+    return not rows
+
+
+def has_one_sign(function: Quotient) -> bool:
+    """Whether a function is proved to be positive everywhere, or negative everywhere."""
+    return positive(function) or positive(-function)
 
 
 def positivity_conditions(matrix: Sequence[Sequence[Quotient]], prover: Prover | None = None) -> list[Quotient]:

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from pbcgen.proof.elimination import definite, positivity_conditions, semidefinite
+from pbcgen.proof.elimination import definite, is_regular, positivity_conditions, semidefinite
 from pbcgen.proof.nonnegative import nonnegative, positive
 from pbcgen.symbolic.field import Field
 
@@ -140,3 +140,28 @@ def test_a_matrix_with_a_dominant_diagonal_is_definite_and_one_that_touches_zero
     assert not definite(_coupled(3, 1, 1))
     assert not definite(_coupled(4, 2, Fraction(3, 2)))
     assert not definite(_coupled(2, -2, Fraction(1, 2)))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_matrix_of_numbers_is_regular_where_its_determinant_is_not_zero(seed):
+    generator = np.random.default_rng(seed)
+    size = int(generator.integers(1, 7))
+    numbers = generator.integers(-1, 2, (size, size))
+    field = Field(NAMES)
+    matrix = [[field.const(int(v)) for v in row] for row in numbers]
+    assert is_regular(matrix) == (round(np.linalg.det(numbers)) != 0)
+
+
+def test_functions_are_pivots_where_they_vanish_nowhere():
+    field = Field(NAMES, 8)
+    a, b = field.symbol(0), field.symbol(1)
+    one, zero, e = field.const(1), field.const(0), field.exp(a)
+    assert is_regular([[zero, one], [-one, -(a * a)]])
+    assert is_regular([[a, e, zero], [-e, b, zero], [one, a, a * a + one]]) is False  # a b + exp(2a) may be zero
+    assert is_regular([[zero, e, zero], [-e, b, zero], [one, a, a * a + one]])
+    assert not is_regular([[a, zero], [zero, one]])
+    assert not is_regular([[one, a], [a, one]])
+    assert is_regular([[one, a], [-a, one]])
+    assert not is_regular([[one, one, a], [one, one, a], [zero, a, one]])
+    assert is_regular([{1: one}, {0: e}])
+    assert not is_regular([{0: one}, {}])
