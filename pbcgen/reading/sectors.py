@@ -103,15 +103,14 @@ class Sectors(Family):
         inputs = [sum((-v for (v,) in row), field.lift(u or 0)) for u, *row in zip(push, *held, strict=True)]
         rates = self.misfits(found, inputs, {})
         rates += [-v for (v,) in product(gains["R_c"], plus(held[0], product(gains["K_c"], x_c)))]
-        z, stiff = plus(found["gamma"], x_c), product([self.model.vector("alpha")], diagonal(self.model.vector("beta")))
+        z = plus(found["gamma"], x_c)
         if natural:
-            seen = product(self.upsilon(len(found["eta"])), found["eta"])
-            z += plus(seen, product(gains["K_l"], x_l[0]))
-            stiff += product(gains["alpha_l"], diagonal(gains["beta_l"][0]))
+            z += plus(product(self.upsilon(len(found["eta"])), found["eta"]), product(gains["K_l"], x_l[0]))
             rates += [-v for (v,) in product(gains["R_l"], held[1])]
         moved = [away.of(v) for v in rates]
-        ends = [b for row in stiff for b in row]
-        sectors = [(away.linear(v), fmpq(0), 1 / b) for (v,), b in zip(z, ends, strict=True)]
+        sizes = ((self.model.vector(f"alpha{k}"), self.model.vector(f"beta{k}")) for k in ("", "_l")[:kinds])
+        soft = [1 / (a * b) for pair in sizes for a, b in zip(*pair, strict=True)]
+        sectors = [(away.linear(v), fmpq(0), s) for (v,), s in zip(z, soft, strict=True)]
         inside = [k for k in away.atoms if any(rate.degrees()[k] for rate in moved)]
         sectors += [away.sector(k) for k in inside]
         theta = field.pool + n + 2 * kinds * m
