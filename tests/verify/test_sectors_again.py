@@ -11,6 +11,8 @@ from pbcgen import AffineSystem, Design, DynamicExtension, Integral, Mechanical,
 from pbcgen.certify.sectors_witness import in_sectors
 from pbcgen.verify.stability import Stability
 
+pytestmark = pytest.mark.system
+
 LAW = DynamicExtension(1, 1, 1, 1)
 
 
