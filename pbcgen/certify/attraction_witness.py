@@ -59,13 +59,13 @@ def _settled(system: Stability, depth: int, terms: Writing, chain: Elimination |
         return {i: row for i, row in found.items() if row}
 
     def enough() -> bool:
-        return rates() is not None or (depth > 0 and _product(chain) is not None)
+        return rates() is not None or (depth > 0 and open_product(chain) is not None)
 
     steps = eliminate(chain, terms, range(len(system.field.symbols)), enough, range(system.n))
     found = rates()
     if found is not None:
         return {"steps": steps} | ({"rates": found} if found else {})
-    product = _product(chain) if depth else None
+    product = open_product(chain) if depth else None
     if product is None:
         return None
     source, factors = product
@@ -80,7 +80,7 @@ def _settled(system: Stability, depth: int, terms: Writing, chain: Elimination |
     return {"steps": steps, "cases": [source, *cases]}
 
 
-def _product(chain: Elimination) -> tuple[int, list[Function]] | None:
+def open_product(chain: Elimination) -> tuple[int, list[Function]] | None:
     """An equation that is a product of functions that may vanish, and these."""
     field = chain.field
     for source, equation in enumerate(chain.equations):
@@ -249,7 +249,7 @@ def _through(field: Field, polynomial: fmpq_mpoly, k: int) -> tuple[Function, st
 def in_squares(field: Field, matrix: Sequence[Sequence[Function]], terms: Writing) -> list[list[Any]] | None:
     """A matrix of the checker's functions as a sum of squares, written; None if that is not found."""
     angles = _angles(field)
-    found = decompose_matrix(_as_quotients(field, matrix, angles), by_sign_or_harmonics)
+    found = decompose_matrix(as_quotients(field, matrix, angles), by_sign_or_harmonics)
     return None if found is None else terms.squares(found, dict(enumerate(angles, len(field.symbols))))
 
 
@@ -259,7 +259,7 @@ def _angles(field: Field) -> list[Function]:
     return [*{(str(a.top), str(a.bottom)): a for a in sums}.values()] if field.whole else []
 
 
-def _as_quotients(
+def as_quotients(
     field: Field, matrix: Sequence[Sequence[Function]], angles: Sequence[Function]
 ) -> list[list[Quotient]]:
     """Functions of the checker's field in the field of the provers."""

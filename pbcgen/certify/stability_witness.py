@@ -13,10 +13,11 @@ from flint import arb, arb_mat, ctx, fmpq
 
 from pbcgen.certify import velocity_witness
 from pbcgen.certify.alone_witness import Circuit, alone
-from pbcgen.certify.attraction_witness import combined, eliminate, read, steps_to_rest
+from pbcgen.certify.attraction_witness import combined, read, steps_to_rest
 from pbcgen.certify.dissipation_witness import sampled_damping
 from pbcgen.certify.growth_witness import convex_growth, growth
 from pbcgen.certify.limits_witness import what_is_left
+from pbcgen.certify.no_rest_witness import nowhere
 from pbcgen.certify.sectors_witness import in_sectors
 from pbcgen.certify.settings_witness import adjustable
 from pbcgen.certify.velocity_witness import SQUARES, squares
@@ -31,7 +32,6 @@ from pbcgen.proof.lyapunov import Kind, lyapunov
 from pbcgen.proof.tree import cover
 from pbcgen.reading.overall import GLOBAL
 from pbcgen.symbolic.linear import Inconsistent, solve
-from pbcgen.symbolic.plain.elimination import Elimination
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.matrices import Matrix, product, transpose
 from pbcgen.symbolic.plain.outcomes import Fails, NotCheckable
@@ -99,29 +99,8 @@ class _Work:
         return found
 
     def unassignable(self, claim: Claim) -> Witness:
-        """`equilibrium` REFUTED: what the equations give one after the other."""
-        if claim.status is not Status.REFUTED:
-            return None
-        system, terms = self.system, self.terms
-        symbols = range(len(system.field.symbols))
-        chain = Elimination(system.field, [system.field.lift(0)] * len(symbols), system.equations({}))
-        order = [*symbols[system.n :], *symbols[: system.n]]  # functions of inputs say less than functions of states
-        steps = eliminate(chain, terms, order, accept=lambda value: value.number() is not None)
-        left = [chain.reduced(e) for e in chain.equations]
-        if self._contradicts(chain):
-            return {"steps": steps}
-        weights = combined(system.field.lift(1), left)
-        if weights is not None:
-            return {"steps": [*steps, [None, {str(k): terms.put(f"constant {c}") for k, c in weights.items()}]]}
-        steps += eliminate(chain, terms, order)
-        return {"steps": steps} if self._contradicts(chain) else None
-
-    def _contradicts(self, chain: Elimination) -> bool:
-        """Whether the checker sees that there is no such rest, see `refuted_equilibrium`."""
-        system = self.system
-        found = {name: chain.solved[k].number() for k, name in enumerate(system.states) if k in chain.solved}
-        inside = system.inside({name: value for name, value in found.items() if value is not None})
-        return not inside or any(system.field.everywhere(chain.reduced(e).top) for e in chain.equations)
+        """`equilibrium` REFUTED."""
+        return nowhere(self.system, self.terms) if claim.status is Status.REFUTED else None
 
     def limited(self, claim: Claim) -> Witness:
         """`saturation` where a force is compensated: what is left to each limit has no negative values."""

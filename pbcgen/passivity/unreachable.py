@@ -17,7 +17,7 @@ Numerators are used in place of the functions: a quotient that vanishes has a nu
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from itertools import product
@@ -202,12 +202,12 @@ class _Work:
 
     def _together(self, case: _Case, left: _Left) -> Contradiction | None:
         """A sum of multiples of the equations that is positive on the domain."""
-        for multipliers in _multipliers(left, self.bounds):
-            total = sum((m * e for m, e in zip(multipliers, left.functions, strict=True)), left.field.const(0))
+        for weights in multipliers(left.field, left.functions, self.bounds):
+            total = sum((m * e for m, e in zip(weights, left.functions, strict=True)), left.field.const(0))
             one = left.field.const(1)
             if sum_of_squares(total - one, self.bounds) is None:
                 continue
-            parts_ = [(m, e) for m, e in zip(multipliers, left.functions, strict=True) if not m.is_zero()]
+            parts_ = [(m, e) for m, e in zip(weights, left.functions, strict=True) if not m.is_zero()]
             equations = " and ".join(_stated(e) for _, e in parts_)
             added = " + ".join(f"({_shown(m)}) ({_shown(e)})" for m, e in parts_)
             return Contradiction(equations, f"and {added} >= 1 as a sum of squares", case.steps)
@@ -272,16 +272,18 @@ def _real_roots(function: Quotient, bounds: Mapping[int, Interval]) -> list[tupl
         return [(b, (lo is None or upper(b) >= lo) and (hi is None or lower(b) <= hi)) for b in balls]
 
 
-def _multipliers(left: _Left, bounds: Mapping[int, Interval]) -> Iterator[list[Quotient]]:
+def multipliers(
+    field_: Field, functions: Sequence[Quotient], bounds: Mapping[int, Interval]
+) -> Iterator[list[Quotient]]:
     """Proposals for m_i, polynomials in what occurs, with which ``sum m_i e_i > 1`` seems to be true."""
-    field_, zero = left.field, left.field.const(0)
-    used = sorted({k for e in left.functions for k in e.generators()})
+    zero = field_.const(0)
+    used = sorted({k for e in functions for k in e.generators()})
     for degree in range(_DEGREE + 1):
         exponents = [e for e in product(range(degree + 1), repeat=len(used)) if sum(e) <= degree]
-        if not left.functions or len(exponents) * len(left.functions) > _MOST_PRODUCTS:
+        if not functions or len(exponents) * len(functions) > _MOST_PRODUCTS:
             return
         monomials = [field_.polynomial(_monomial(field_, dict(zip(used, e, strict=True)))) for e in exponents]
-        directions = [(m * e).numerator for e in left.functions for m in monomials]
+        directions = [(m * e).numerator for e in functions for m in monomials]
         found = coefficients(field_, field_.const(-1).numerator, directions, bounds)
         if found is None:
             continue
