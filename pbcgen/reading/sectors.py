@@ -108,20 +108,18 @@ class Sectors(Family):
             z += plus(product(self.upsilon(len(found["eta"])), found["eta"]), product(gains["K_l"], x_l[0]))
             rates += [-v for (v,) in product(gains["R_l"], held[1])]
         moved = [away.of(v) for v in rates]
-        sizes = ((self.model.vector(f"alpha{k}"), self.model.vector(f"beta{k}")) for k in ("", "_l")[:kinds])
+        *sizes, psi = [[self.model.vector(f"{s}{k}") for s in ("alpha", "beta")] for k in (*("", "_l")[:kinds], "_psi")]
         soft = [1 / (a * b) for pair in sizes for a, b in zip(*pair, strict=True)]
         sectors = [(away.linear(v), fmpq(0), s) for (v,), s in zip(z, soft, strict=True)]
         inside = [k for k in away.atoms if any(rate.degrees()[k] for rate in moved)]
         sectors += [away.sector(k) for k in inside]
         theta = field.pool + n + 2 * kinds * m
         variables = [*range(field.pool, theta), *inside, *range(theta, len(field.generators))]
-        outputs, leaks = [], []  # type: list[fmpq_mpoly], list[fmpq]
-        if integral:
-            R, outputs = gains["R_psi"], [away.linear(v) for (v,) in found["gamma"]]
-            require(diagonal([R[i][i] for i in range(m)]) == R, "filters mix")
-            gained = zip(gains["alpha_psi"][0], gains["beta_psi"][0], strict=True)
-            leaks = [R[i][i] / (a * b) ** 2 for i, (a, b) in enumerate(gained)]
+        R = gains["R_psi"] if integral else []
+        leaks = [row[i] / (a * b) ** 2 for i, (row, a, b) in enumerate(zip(R, *psi, strict=integral))]
+        require(diagonal([row[i] for i, row in enumerate(R)]) == R, "filters mix")
         require(field.entire(), "the model may not be smooth everywhere", NotCheckable)
+        outputs = [away.linear(v) for (v,) in found["gamma"]][: len(R)]
         return SectorLoop(field.generators, variables, moved, sectors, outputs, leaks)
 
     def in_sectors(self, claim: str) -> None:
@@ -136,12 +134,11 @@ class Sectors(Family):
         loop, P = self.sector_loop, self.storage(claim) or []
         popov, sectors, integral = (self.given(claim, name) for name in ("popov", "sectors", "integral"))
         require(not self.model.domain and min([*popov, *sectors, *integral]) >= 0, "a weight, or the domain, is wrong")
-        signed = all(a == 0 or p == 0 for p, (_, a, _) in zip(popov, loop.sectors, strict=True))
-        require(signed, "an integral may be negative")
         k, ring = len(loop.rates), [loop.ring[i] for i in loop.variables]
         phi, theta = ring[k : k + len(popov)], ring[k + len(popov) :]
         rise = dot(ring[:k], [dot(row, loop.rates) for row in P])
         for v, p, t, (z, a, soft) in zip(phi, popov, sectors, loop.sectors, strict=True):
+            require(a == 0 or p == 0, "an integral may be negative")
             rise += v * dot(loop.row(z)[:k], loop.rates) * p + (v - z * a) * (z - v * soft) * t
         for v, mu, y, leak in zip(theta, integral, loop.outputs, loop.leaks, strict=True):
             rise += v * (y - v * leak) * mu
