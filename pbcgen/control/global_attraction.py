@@ -17,21 +17,15 @@ from pbcgen.control.situation import Situation
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.affine import AffineSystem
 from pbcgen.models.laws import Integral, NaturalDamping
-from pbcgen.passivity.construction import drift_by_construction
-from pbcgen.passivity.inertia import missing_for_definiteness
 from pbcgen.passivity.passive_output import PassiveOutput, find
 from pbcgen.passivity.plant import Plant, Point
-from pbcgen.passivity.region import Region
+from pbcgen.passivity.region import Region, why_undefined
 from pbcgen.passivity.storage import assumption_1
 from pbcgen.passivity.unbounded import Growth, radially_unbounded
 from pbcgen.proof.claim import EVERYWHERE, Claim, Status
-from pbcgen.proof.known import ENTIRE_KINDS
-from pbcgen.proof.nonnegative import positive
 from pbcgen.symbolic.real import BITS, REAL, ZERO, Real, approximate, enclose, is_finite, precision, rational, text
 from pbcgen.symbolic.tape import exact_decimal
 
-#: Functions that are so for every positive argument.
-_POSITIVE_ARGUMENT = frozenset({"sqrt", "log"})
 #: From closed intervals to open ones, in words.
 _OPEN = str.maketrans("[]", "()")
 
@@ -119,7 +113,7 @@ def _global_premises(situation: Situation, by_lyapunov: bool, kept: bool) -> tup
             return f"{name} holds only on {situation.found[name].domain}", "extend the assumption to the whole space"
     if situation.plant.system.domain and not kept:
         return _not_kept(situation)
-    undefined = "" if kept else _undefined(situation)
+    undefined = "" if kept else why_undefined(situation.plant, Region.whole(situation.plant), 0, situation.gamma)
     if undefined:
         return undefined, "rely on the local claim"
     if not situation.branches or not all(part.resting for part in situation.branches):
@@ -135,32 +129,6 @@ def _not_kept(situation: Situation) -> tuple[str, str]:
     if place:
         return f"{stated}, and {place} every input of the law leads out of it", f"{hint}, or start inside the region"
     return stated, hint
-
-
-def _undefined(situation: Situation) -> str:
-    """Why f, g, S and gamma are not known to be smooth on the whole space; M^-1 is, where M is and M > 0."""
-    plant, system = situation.plant, situation.plant.system
-    parts = [system.f, system.g, system.S, situation.gamma]
-    mechanics = system.mechanical
-    if mechanics is not None and plant.gradient_is_exact and drift_by_construction(system):
-        missing = missing_for_definiteness(plant)
-        if missing:
-            return missing
-        parts = [mechanics.M, mechanics.V, mechanics.D, mechanics.G, situation.gamma]
-    if plant.tape(*parts).is_entire():
-        return ""
-    if not plant.is_continuous:
-        return "f jumps, or S has a kink"
-    try:
-        field, _ = plant.exact(*parts)
-    except (UnsupportedOperation, ZeroDivisionError) as reason:
-        return str(reason)
-    fine = all(
-        atom.kind in ENTIRE_KINDS | {"fabs"} or (atom.kind in _POSITIVE_ARGUMENT and positive(atom.argument))
-        for atom in field.atoms.values()
-    )
-    fine = fine and all(positive(d) or positive(-d) for d in field.divisors.values())
-    return "" if fine else "f, g or S is not defined on the whole space"
 
 
 def _growth(situation: Situation, bounded: frozenset[int]) -> Growth:

@@ -21,7 +21,7 @@ from pbcgen.passivity.damping_search import Port
 from pbcgen.passivity.least import constant_below
 from pbcgen.passivity.passive_output import gives_output
 from pbcgen.passivity.plant import Plant
-from pbcgen.passivity.region import Region
+from pbcgen.passivity.region import Region, holding
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import positive_semidefinite
@@ -29,6 +29,9 @@ from pbcgen.symbolic.field import Quotient
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.real import ZERO, Real, approximate, rational, text
 from pbcgen.symbolic.real_matrices import RealMatrix, SparseRow, dense, inverse, multiply, transpose
+
+#: Boxes for whether the model is defined.
+_BOXES = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +94,11 @@ def assumption_3(
     bounds = _bounds(plant, structure, gamma, matched, storage_proved, where)
     if structure is not None and storage_proved and bounds.claim.status is not Status.PROVED:
         bounds = _varying_bounds(plant, structure, gamma, where) or bounds
-    if bounds.claim.status is not Status.UNDECIDED:
+    if bounds.claim.status is Status.PROVED:
+        region = Region.whole(plant) if bounds.claim.holds_everywhere else where
+        _, domain = holding(plant, region, _BOXES, gamma, bounds.eta)
+        return replace(bounds, claim=replace(bounds.claim, domain=domain))
+    if bounds.claim.status is Status.REFUTED:
         return bounds
     found = Port.of(plant, where, gamma, bounds.eta).undamped(never_negative=storage_proved)
     if found is None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
+from functools import lru_cache
 
 import casadi as ca
 
@@ -18,6 +19,7 @@ from pbcgen.passivity.construction import same_formulas
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.elimination import definite
 from pbcgen.proof.extrema import term_bounds
+from pbcgen.proof.nonnegative import Everywhere, Prover
 from pbcgen.symbolic.exact_walk import evaluate
 from pbcgen.symbolic.field import Field, Quotient
 from pbcgen.symbolic.tape import OPERATIONS, Matrix, Tape
@@ -26,6 +28,7 @@ from pbcgen.symbolic.tape import OPERATIONS, Matrix, Tape
 _CODES = {name: code for code, (name, _) in reversed(list(OPERATIONS.items()))}
 
 
+@lru_cache(maxsize=2)
 def missing_for_definiteness(plant: Plant) -> str:
     """Why M(q) > 0 fails to be proved for all q; empty when it is proved."""
     mechanics = plant.system.mechanical
@@ -34,6 +37,15 @@ def missing_for_definiteness(plant: Plant) -> str:
         return ""
     entries = _exact(plant, mechanics.M)
     return "" if entries is not None and definite(entries) else "M(q) > 0 was not proved on the whole space"
+
+
+def is_definite_on(plant: Plant, prover: Prover) -> bool:
+    """Whether M(q) > 0 is proved wherever it is defined in the prover's region."""
+    if not missing_for_definiteness(plant):
+        return True
+    assert plant.system.mechanical is not None
+    entries = None if isinstance(prover, Everywhere) else _exact(plant, plant.system.mechanical.M)
+    return entries is not None and definite(entries, prover=prover)
 
 
 def missing_for_growth(plant: Plant) -> str:

@@ -19,7 +19,7 @@ from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.gamma_candidates import GIVEN, Candidate, Obstacle, candidates, synthesised
 from pbcgen.passivity.obstruction import Obstruction, obstruction
 from pbcgen.passivity.plant import Plant, Point, columns, dot, sparse_dot
-from pbcgen.passivity.region import Region, has_poles, search_with_inputs, where_defined
+from pbcgen.passivity.region import Region, holding, search_with_inputs
 from pbcgen.passivity.response import Response, negative_response
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.branch import Budget
@@ -130,7 +130,8 @@ class _Search:
         elif _is_constant(plant, candidate.gamma):
             self.tried.append(f"{candidate.strategy}: only a constant gamma, which feeds nothing back")
         elif method := prove(plant, self.structure, candidate.gamma, self.storage_proved, self.structure_proved, where):
-            claim = _proved(candidate, method, _stated(plant, candidate.gamma, where), _forced(plant, self.point))
+            _, domain = holding(plant, where, _BOXES, candidate.gamma)
+            claim = _proved(candidate, method, domain, _forced(plant, self.point))
             return PassiveOutput(candidate.gamma, candidate.strategy, claim, method.startswith("structure"))
         elif candidate.strategy != GIVEN and _pushes_forward(plant, candidate.gamma, self.point):
             self.tried.append(f"{candidate.strategy}: gamma' falls where u pushes, so Z(x) >= 0 fails")
@@ -263,14 +264,6 @@ def _direct(
 def _proved(candidate: Candidate, method: str, domain: str, forced: str) -> Claim:
     evidence = f"gamma found: {candidate.strategy}" + (f"; {forced}" if forced else "")
     return Claim("passive-output", Status.PROVED, domain, method, evidence)
-
-
-def _stated(plant: Plant, gamma: ca.SX, region: Region) -> str:
-    """The region in words, less the states at which gamma or what it belongs to has no value."""
-    system = plant.system
-    parts = (system.g,) if system.mechanical is not None else (system.f, system.g, system.S)
-    poles = has_poles(plant, region.prover(Budget(_BOXES)), *parts, gamma)
-    return where_defined(region.text) if poles else region.text
 
 
 def _refuted_gamma(plant: Plant, candidate: Candidate, region: Region) -> Claim | None:

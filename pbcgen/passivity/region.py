@@ -10,6 +10,8 @@ import casadi as ca
 
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.models.exact import decimal
+from pbcgen.passivity.construction import drift_by_construction
+from pbcgen.passivity.inertia import is_definite_on
 from pbcgen.passivity.plant import Plant
 from pbcgen.proof.branch import Budget, OnBox
 from pbcgen.proof.claim import EVERYWHERE
@@ -24,7 +26,7 @@ Interval = tuple[Fraction | None, Fraction | None]
 #: Arguments of these must be positive for a smooth value.
 _POSITIVE_ARGUMENT = frozenset({"log", "sqrt"})
 #: Arguments of these must lie in (-1, 1).
-_UNIT_ARGUMENT = frozenset({"asin", "acos", "atanh"})
+_UNIT_ARGUMENT = frozenset({"asin", "acos", "atanh", "erfinv"})
 #: Whether divisors of more terms vanish somewhere is not looked at.
 _LARGEST_DIVISOR = 40
 
@@ -130,15 +132,36 @@ def undefined(field: Field, prover: Prover, states: int) -> list[str]:
     return open_conditions
 
 
-def has_poles(plant: Plant, prover: Prover, *parts: ca.SX) -> bool:
-    """Whether functions of the state are not proved to be defined and smooth wherever the prover speaks of."""
+def why_undefined(plant: Plant, region: Region, boxes: int, *others: ca.SX | None) -> str:
+    """Why f, g, S and others are not shown to be defined and smooth on a region, apart from moduli; empty if they are.
+
+    f, g and S of a mechanical system are so where M, V, D and G are, and M(q) > 0.
+    """
+    system, mechanics, prover = plant.system, plant.system.mechanical, region.prover(Budget(boxes))
+    parts = [system.f, system.g, system.S]
+    if mechanics is not None and plant.gradient_is_exact and drift_by_construction(system):
+        if not is_definite_on(plant, prover):
+            return f"M(q) > 0 was not proved on {'the whole space' if region.is_whole else 'the domain'}"
+        parts = [mechanics.M, mechanics.V, mechanics.D, mechanics.G]
+    parts += [part for part in others if part is not None]
+    if plant.tape(*parts).is_entire():
+        return ""
+    if not plant.is_continuous:
+        return "f jumps, or S has a kink"
     try:
         field, _ = plant.exact(*parts)
-    except (UnsupportedOperation, ZeroDivisionError):
-        return False
-    return bool(undefined(field, prover, plant.system.n))
+    except (UnsupportedOperation, ZeroDivisionError) as reason:
+        return str(reason)
+    missing = undefined(field, prover, system.n)
+    return f"f, g or S is not defined everywhere: {missing[0]} has no sign" if missing else ""
 
 
-def where_defined(domain: str) -> str:
-    """The domain of a claim without the states at which the model has no value."""
-    return f"{domain} where the model is defined"
+def holding(plant: Plant, region: Region, boxes: int, *others: ca.SX | None) -> tuple[Region, str]:
+    """Where a claim that is proved wherever the model is defined on a region certainly holds, and that in words.
+
+    That is the region, or what the system states, if the model is shown to be defined there.
+    """
+    for where in dict.fromkeys((region, Region.stated(plant)) if region.is_whole else (region,)):
+        if not why_undefined(plant, where, boxes, *others):
+            return where, where.text
+    return region, f"{region.text} where the model is defined"

@@ -15,7 +15,7 @@ import casadi as ca
 from pbcgen.errors import UnsupportedOperation
 from pbcgen.passivity.construction import derivative_is_rounded
 from pbcgen.passivity.plant import Plant
-from pbcgen.passivity.region import Region, has_poles, search, where_defined
+from pbcgen.passivity.region import Region, holding, search
 from pbcgen.passivity.smooth import smooth_forms
 from pbcgen.passivity.structure import PowerStructure, StructureProof, power_structure, prove
 from pbcgen.proof.branch import Budget, Formula, nonnegative_on_box, zero_set
@@ -179,20 +179,8 @@ def _by_structure(structure: PowerStructure, region: Region) -> Claim:
 
 def _where_defined(plant: Plant, storage: Storage) -> Storage:
     """The verdict with a smaller domain when the formulas are not proved to be defined on all of it."""
-    region, stated = storage.region or Region.whole(plant), Region.stated(plant)
-    if not _has_poles(plant, region):
-        return storage
-    claim = storage.claim
-    if region.is_whole and not stated.is_whole and not _has_poles(plant, stated):
-        return replace(storage, claim=replace(claim, domain=stated.text), region=stated)
-    return replace(storage, claim=replace(claim, domain=where_defined(claim.domain)))
-
-
-def _has_poles(plant: Plant, region: Region) -> bool:
-    """Whether the formulas are not proved to be defined; M(q) > 0 of mechanical systems is a premise of theirs."""
-    system = plant.system
-    parts = (system.g,) if system.mechanical is not None else (system.f, system.S)
-    return has_poles(plant, region.prover(Budget(_BOXES // 4)), *parts)
+    region, domain = holding(plant, storage.region or Region.whole(plant), _BOXES // 4)
+    return replace(storage, claim=replace(storage.claim, domain=domain), region=None if region.is_whole else region)
 
 
 def _refuted(plant: Plant, region: Region, search: Search) -> Claim:

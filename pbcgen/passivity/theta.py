@@ -25,7 +25,7 @@ from pbcgen.models.laws import NaturalDamping
 from pbcgen.passivity.damping_bounds import exceeds
 from pbcgen.passivity.damping_search import Finding, Port
 from pbcgen.passivity.dissipation import NaturalDampingBounds
-from pbcgen.passivity.region import Region
+from pbcgen.passivity.region import Region, holding
 from pbcgen.passivity.structure import PowerStructure
 from pbcgen.proof.claim import Claim, Status
 from pbcgen.proof.definite import eigenvalues, positive_definite, positive_semidefinite
@@ -37,6 +37,8 @@ _SEARCH = "search for a state with too little damping, confirmed at a rational p
 #: What is left of K_l R_l when damping shall be to spare.
 SPARE = fmpq(999, 1000)
 _WHOLE = fmpq(1)
+#: Boxes for whether the model is defined.
+_BOXES = 2000
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,8 @@ def theta(
     if region is not None and port is not None:
         method = "Schur complement and Loewner order, by elimination with exact functions"
         evidence = f"K_l R_l = {given}: the dissipation carries the filter at every state"
-        claim = Claim("theta", Status.PROVED, region.text, method, evidence)
+        _, domain = holding(port.plant, region, _BOXES, port.gamma, port.eta)
+        claim = Claim("theta", Status.PROVED, domain, method, evidence)
         return ThetaVerdict(claim, bound, smallest, _carried(law, port, structure, SPARE) is not None)
     found = None if port is None else port.theta_negative(law.Upsilon, product)
     if found is not None and port is not None:
