@@ -12,7 +12,7 @@ from typing import Any, Self
 from flint import arb, fmpq
 
 from pbcgen.reading.sums import Sums
-from pbcgen.reading.system import Witness
+from pbcgen.reading.system import RESTING, Witness
 from pbcgen.symbolic.plain.boxes import Box, ball
 from pbcgen.symbolic.plain.formulas import Formulas, Lift, rational
 from pbcgen.symbolic.plain.matrices import dot, negative, product
@@ -57,7 +57,7 @@ class Family(Sums):
         """What the equations of an equilibrium that meets the target leave of zero; ``standing`` systems in (q, v)."""
         x_u = self._rest(values, z, lift)
         x, u = x_u[: self.n], x_u[self.n :]
-        found = self.walk(x, lift, dict.fromkeys(self.velocities, lift(fmpq(0))) if standing else None)
+        found = self.walk(x, lift, dict.fromkeys(self.velocities, lift(fmpq(0))) if standing else None, RESTING)
         wanted = {name: lift(value) for name, value in self.model.target.items()}
         wanted |= {name: v for (name, entry, _, _), v in zip(self.model.settings, values, strict=True) if entry is None}
         return self.misfits(found, u, wanted)

@@ -86,7 +86,9 @@ class Sums(System):
         """The matrix is the sum of squares of a witness or of a part of it, on the domain of the claim."""
         rest = self.without_squares(matrix, claim, (self.witness[claim] if part is None else part)["squares"])
         self.zero([v for row in rest for v in row], "the squares do not add up to what they stand for")
-        require(self.defined or self.domain[claim] != "all x", "the model may have poles", NotCheckable)
+        wanted = {"assumption-1": "[fS]$", "passive-output": "([fgS]|gamma)$"}.get(claim, "([fgS]|gamma|eta)$")
+        defined = self.domain[claim] != "all x" or self.defined or self.is_defined(wanted)
+        require(defined, "the model may have poles", NotCheckable)
 
     def _factor(self, claim: str, kind: str, a: int, b: Any, alone: bool) -> Any:
         """A function without negative values.

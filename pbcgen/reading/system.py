@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
-from flint import arb, arb_mat, fmpq, fmpq_mat
+from flint import arb, fmpq, fmpq_mat
 
 from pbcgen.reading.model import Model
 from pbcgen.reading.velocity import solves
@@ -16,6 +16,9 @@ from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, negati
 from pbcgen.symbolic.plain.outcomes import NotCheckable, require
 from pbcgen.symbolic.plain.spectra import inverse, krawczyk, zero_order_hold
 from pbcgen.symbolic.plain.values import Dual, Field, Function, partial, plain, sign, variables
+
+#: How the names of what an equilibrium asks for begin.
+RESTING = "[fg]$|target "
 
 
 class Witness(dict[str, Any]):
@@ -82,15 +85,6 @@ class System:
         rows = self.mass(z, lift)
         return [*z[: self.half], *(dot(row, z[self.half :]) for row in rows)] if rows else list(z)
 
-    def coordinates(self, z: Sequence[Any]) -> list[Any]:
-        """(q, v, u) for numbers (x, u) with x = (q, p), else these themselves."""
-        M, p = self.mass(z, fmpq), z[self.half : self.n]
-        if not M:
-            return list(z)
-        exact = all(isinstance(entry, fmpq) for row in M for entry in row)
-        v = (fmpq_mat(M).solve if exact else arb_mat(M).solve)((fmpq_mat if exact else arb_mat)([[c] for c in p]))
-        return [*z[: self.half], *v.entries(), *z[self.n :]]
-
     def mass(self, z: Sequence[Any], lift: Lift) -> Matrix:
         """M at these positions."""
         inputs = {"state": z[: self.half], "parameter": [lift(p) for p in self.model.parameters]}
@@ -119,18 +113,34 @@ class System:
         self.field.closed, self.defined = True, self.field.entire(moduli=True)
         return found
 
+    def is_defined(self, wanted: str) -> bool:
+        """Whether these matrices are certainly defined and smooth at every state, apart from moduli; in a new field."""
+        field = Field(len(self.field.symbols), self.field.pool, self.field.units)
+        field.whole = self.field.whole
+        self.moving(variables(field.symbols[: self.n]), lambda v: Dual(field.lift(v), {}), wanted)
+        return field.entire(moduli=True)
+
     @cached_property
     def placed(self) -> list[Any]:
         """The terms of the witnesses as exact functions of state and input."""
         return self.terms.walk(self.field.lift, {"state": self.field.symbols}) if self.exact else []
 
     def functions(self, name: str) -> Matrix:
+        """A matrix of exact functions that do not jump."""
+        return [self.field.continued(row) for row in self.written(name)]
+
+    def written(self, name: str) -> Matrix:
         """A matrix of exact functions."""
-        return [self.field.continued([self.field.lift(plain(v)) for v in row]) for row in self.exact[name]]
+        return [[self.field.lift(plain(v)) for v in row] for row in self.exact[name]]
 
     def column(self, name: str) -> list[Function]:
         """A column of exact functions."""
         return [v for (v,) in self.functions(name)]
+
+    @property
+    def outputs(self) -> list[Function]:
+        """gamma, which may jump."""
+        return [v for (v,) in self.written("gamma")]
 
     def slope(self, name: str) -> Matrix:
         """The exact Jacobian of a column that does not jump, rows over the state."""
@@ -183,7 +193,7 @@ class System:
     def zero(self, functions: Sequence[Any], otherwise: str) -> None:
         """Every function is the zero function, and no divisor so far is."""
         require(all(self.field.lift(v).top.is_zero() for v in functions), otherwise)
-        size = [fmpq(11 * k + 3, 7 * k + 10) for k in range(len(self.field.symbols))]
+        size = [fmpq(1117 * k + 313, 719 * k + 1021) for k in range(len(self.field.symbols))]
         sides = [(c, c * a, c * b, c * a * b) for a in (1, -1) for b in (1, -1) for c in (1, -1)]
         points = [[v * side[k % 4] for k, v in enumerate(size)] for side in sides]
         for divisor in self.field.divisors.values():
@@ -220,7 +230,8 @@ class System:
 
     def _residuals(self, z: Mapping[str, Any], lift: Lift = fmpq, moving: bool = False) -> list[Any]:
         """``f + g u``, and the differences of the target's expressions from their values."""
-        found = (self.moving if moving else self.walk)([z[name] for name in self.states], lift)
+        state = [z[name] for name in self.states]
+        found = self.moving(state, lift, RESTING) if moving else self.walk(state, lift, None, RESTING)
         return self.misfits(found, [z[name] for name in self.inputs], self.model.target)
 
     def misfits(self, found: Mapping[str, Matrix], u: Sequence[Any], wanted: Mapping[str, Any]) -> list[Any]:
@@ -318,9 +329,8 @@ class System:
     @property
     def signals(self) -> dict[str, list[Any]]:
         """What the law reads, as functions of the state."""
-        signals = {"gamma": self.column("gamma")}
-        if "natural-damping" in self.law:
-            signals["eta"] = self.column("eta")
+        names = ["gamma", "eta"] if "natural-damping" in self.law else ["gamma"]
+        signals = {name: [v for (v,) in self.written(name)] for name in names}
         if self.compensated:
             signals["potential"] = self.force
         if "passive-output" in self.law:
@@ -463,8 +473,8 @@ class System:
 
     @property
     def moved(self) -> Matrix:
-        """``f + g u`` there."""
-        return plus(self.functions("f"), product(self.functions("g"), [[u] for u in self.push]))
+        """``f + g u`` there, which may jump; what is concluded from derivatives along it needs that it does not."""
+        return plus(self.written("f"), product(self.written("g"), [[u] for u in self.push]))
 
     @property
     def balance(self) -> list[Any]:

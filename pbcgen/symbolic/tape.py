@@ -93,6 +93,10 @@ _JUMPING = frozenset(
     | {"lt", "le", "eq", "ne", "not_", "and_", "or_", "if_else_zero"}
 )
 
+#: Operations whose values are 0 or 1; and of how many operands, from the first, others ask whether they are zero.
+_TRUTHS = frozenset({"lt", "le", "eq", "ne", "not_", "and_", "or_"})
+_ASKING = {"not_": 1, "and_": 2, "or_": 2, "if_else_zero": 1}
+
 _NAME_OF_CODE = {getattr(ca, name): name for name in dir(ca) if name.startswith("OP_")}
 
 
@@ -205,6 +209,15 @@ class Tape:
         entries: list[dict[tuple[int, int], int]] = [{} for _ in positions]
         register: dict[int, int] = {}
         instructions: list[Instruction] = []
+
+        def asked(position: int) -> int:
+            """What is 0 or 1 in place of a condition: a number that is compared with zero jumps where it is zero."""
+            instruction = instructions[position]
+            if isinstance(instruction, Operation) and instruction.name in _TRUTHS:
+                return position
+            instructions.extend((Constant(Fraction(0)), Operation("ne", (position, len(instructions)))))
+            return len(instructions) - 1
+
         for k in range(function.n_instructions()):
             code = function.instruction_id(k)
             operands = function.instruction_input(k)
@@ -221,7 +234,9 @@ class Tape:
                 instruction = Input(operands[0], operands[1])
             elif code in OPERATIONS:
                 name, arity = OPERATIONS[code]
-                instruction = Operation(name, tuple(register[o] for o in operands[:arity]))
+                places = [register[o] for o in operands[:arity]]
+                conditions = _ASKING.get(name, 0)
+                instruction = Operation(name, (*map(asked, places[:conditions]), *places[conditions:]))
             else:
                 raise UnsupportedOperation(f"the SX operation {_NAME_OF_CODE.get(code, code)} is not supported")
             register[function.instruction_output(k)[0]] = len(instructions)

@@ -64,11 +64,8 @@ class Assumptions(Unseen):
 
     def refuted_assumption_1(self) -> None:
         """``grad S^T f > 0`` at a state of the domain."""
-        x = self.given("assumption-1", "x")
-        require(self.inside(dict(zip(self.states, x, strict=True))), "the state is not in the domain")
-        found = self.walk(variables(x))
-        power = product(self.jacobian(found["S"]), [[plain(v) for v in row] for row in found["f"]])
-        require(sign(power[0][0]) == 1, "the storage does not grow at this state")
+        growth = self.rates_at([*self.given("assumption-1", "x"), *[fmpq(0)] * self.m])("S")
+        require(sign(growth[0]) == 1, "the storage does not grow at this state")
 
     def proved_passive_output(self) -> None:
         """``S' <= u^T gamma'`` for all x and u."""
@@ -83,12 +80,18 @@ class Assumptions(Unseen):
             return self.no_gradient(witness)
         return require(sign(self.power_there("passive-output")[0]) == -1, "the storage is passive here")
 
-    def power_there(self, claim: str) -> tuple[Any, Callable[[Any], Any]]:
-        """``u^T gamma' - S'`` at a state and an input of a witness, and the value of other functions there."""
+    def power_there(self, claim: str) -> tuple[Any, Callable[[str], list[Any]]]:
+        """``u^T gamma' - S'`` at a state and an input of a witness, and other columns' derivatives in time there."""
         z = self.given(claim, "x")
+        rate = self.rates_at(z)
+        return dot(z[self.n :], rate("gamma")) - rate("S")[0], rate
+
+    def rates_at(self, z: Sequence[Any]) -> Callable[[str], list[Any]]:
+        """The derivative in time of a column by its name, at a state in the domain and an input."""
         require(self.inside(dict(zip([*self.states, *self.inputs], z, strict=True))), "the state is not in the domain")
-        z = self.coordinates(z) + [fmpq(0)] * len(self.inertia)
-        return put_in(self.field, self.power_at(self.constants), z), lambda a: put_in(self.field, self.field.lift(a), z)
+        found = self.walk(variables(z[: self.n]))
+        moved = [plain(v) for v in self.misfits(found, z[self.n :], {})]
+        return lambda name: [dot(row, moved) for row in self.jacobian(found[name])]
 
     def proved_gradient_condition(self) -> None:
         """``grad S + grad gamma kappa = 0`` at x*: exactly, or because ``f + g u = 0`` leaves nothing else."""
@@ -154,9 +157,8 @@ class Assumptions(Unseen):
 
     def refuted_assumption_3(self) -> None:
         """At a state and an input power is gained, or none is lost although gamma or eta moves."""
-        power, at = self.power_there("assumption-3")
-        one_u = [1, *self.constants]
-        rates = [at(dot(row, one_u)) for name in ("gamma", "eta") if name in self.exact for row in self.rate(name)]
+        power, rate = self.power_there("assumption-3")
+        rates = [v for name in ("gamma", "eta") if name in self.exact for v in rate(name)]
         moving = sign(power) == 0 and {1, -1} & {*map(sign, rates)}
         require(sign(power) == -1 or moving, "there may be as much damping as is asked for")
 
@@ -191,15 +193,15 @@ class Assumptions(Unseen):
 
     def _spare(self) -> Any:
         """``u^T gamma' - S' - |Upsilon eta' - y|^2_{(4 K_l R_l)^-1}`` at a state and an input."""
-        power, at = self.power_there("theta")
-        eta, y = ([at(dot(row, [1, *self.constants])) for row in self.rate(name)] for name in ("eta", "gamma"))
+        power, rate = self.power_there("theta")
+        eta, y = rate("eta"), rate("gamma")
         left = plus(product(self.upsilon(len(eta)), [[v] for v in eta]), [[v] for v in y], -1)
         gains = (self.model.gains["K_l"][i][i] * self.model.gains["R_l"][i][i] for i in range(self.m))
         return power - sum(v * v / (4 * k) for (v,), k in zip(left, gains, strict=True))
 
     def proved_measurability(self) -> None:
         """What the law reads is a function of what is measured, up to a constant."""
-        values = self.readings.walk(self.field.lift, {"measured": self.column("measurement")})
+        values = self.readings.walk(self.field.lift, {"measured": [v for (v,) in self.written("measurement")]})
         for name, wanted in self.signals.items():
             pairs = zip(wanted, self.readings.matrix(name, values), strict=True)
             require(all((a - b).number() is not None for a, (b,) in pairs), f"{name} is not what is read")

@@ -36,7 +36,7 @@ def slopes(field: Field, a: Function) -> list[Function]:
         tops = [a.top.derivative(k) if degrees[k] else None for k in range(field.pool, len(degrees))]
         return [field.lift(0) if top is None else field.quotient(top, a.bottom) for top in tops]
     dual = put_in(field, a, variables(field.symbols))
-    return field.continued([field.lift(partial(dual, k)) for k in range(len(field.symbols))])
+    return field.continued([a, *(field.lift(partial(dual, k)) for k in range(len(field.symbols)))])[1:]
 
 
 class Elimination:

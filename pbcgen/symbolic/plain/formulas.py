@@ -15,6 +15,9 @@ from pbcgen.symbolic.plain.values import apply
 
 #: Instructions whose operand is a number or the position of an input.
 _LEAVES = {"constant", "state", "input", "parameter", "measured", "setting", "solved"}
+#: Operations whose values are 0 or 1; and of how many operands, from the first, others need that these are so.
+_TRUTHS = {"lt", "le", "eq", "ne", "not_", "and_", "or_"}
+_ASKING = {"not_": 1, "and_": 2, "or_": 2, "if_else_zero": 1}
 
 #: What makes a value of a number; a sequence for each operation that reads one; values of instructions.
 Lift = Callable[[fmpq], Any]
@@ -53,6 +56,9 @@ class Formulas:
                 negative = instruction[0] != "constant" and any(o.startswith("-") for o in instruction[1:])
                 ordered = not negative and int(number) == len(formulas.instructions)
                 require(ordered, "the instructions are not numbered in order", Malformed)
+                asked = instruction[1:][: _ASKING.get(instruction[0], 0)]
+                truths = all(formulas.instructions[int(o)][0] in _TRUTHS for o in asked)
+                require(truths, "a condition is neither true nor false", Malformed)
                 formulas.instructions.append(instruction)
             elif match := re.fullmatch(r"(.+) (\d+)x(\d+)((?: \d+,\d+:\d+)*)", line):
                 places = re.findall(r"(\d+),(\d+):(\d+)", match[4])

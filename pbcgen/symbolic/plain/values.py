@@ -25,6 +25,8 @@ _ENTIRE = {"exp", "sin", "cos", "tanh", "atan", "asinh", "erf"}
 BOUNDED = {"sin", "cos", "tanh", "erf"}
 AT_ZERO = {"exp": 1, "cos": 1} | dict.fromkeys([*ODD, "sin", "sqrt", "fabs"], 0)
 _FUNCTIONS = INCREASING | {"sin", "cos", "acos", "acosh"}
+#: Functions that are constant but for their jumps: the next lower integer; and 1 for what is positive, else 0.
+_JUMPING = {"floor", "step", "sign"}
 #: Angles and exponents beyond this multiple of their unit are not expanded.
 _MOST_MULTIPLES = 24
 #: Polynomials with more terms than this are not factored.
@@ -39,20 +41,52 @@ def times(a: Any, b: Any) -> Any:
     return fmpq(0) if isinstance(product, arb) and product == 0 and product.is_exact() else product
 
 
-def _direction(a: Any) -> Any:
-    """The sign, which is the derivative of the absolute value; at zero only a factor zero leaves something known.
+def _reciprocal(a: Any) -> Any:
+    """``1 / a``; of the number zero nothing is known."""
+    return arb("nan") if isinstance(a, fmpq) and a == 0 else fmpq(1) / a
 
-    As a function it is ``|a| / a``, without a note of the divisor: what remains of it is looked at (``continued``).
-    """
+
+def _direction(a: Any) -> Any:
+    """The sign, which is the derivative of the absolute value; at zero only a factor zero leaves something known."""
     if isinstance(a, Function):
-        modulus = a.function("fabs")
-        return a.field.quotient(modulus.top * a.bottom, modulus.bottom * a.top)
+        return a.function("sign")
     if isinstance(plain(a), Function):
         return Dual(_direction(a.value), {})
     if sign(plain(a)) in (1, -1):
         return fmpq(sign(plain(a)))
-    inner = dict.fromkeys(a.slope if isinstance(a, Dual) else (), arb("nan"))
-    return Dual(_direction(a.value), inner) if inner else arb(0, arb(2) ** 10**9)
+    return _unknown(a, _direction) if isinstance(a, Dual) else arb(0, arb(2) ** 10**9)
+
+
+def _unknown(a: Dual, function: Callable[[Any], Any]) -> Dual:
+    """What a function makes of a dual where it may jump: no derivative of any order is known."""
+    return Dual(function(a.value), dict.fromkeys(a.slope, a.value * arb("nan")))
+
+
+def _towards_zero(a: Any) -> Any:
+    """The integer part."""
+    return times(apply("floor", a), apply("step", a)) - times(apply("floor", -a), apply("step", -a))
+
+
+def _between(name: str) -> Callable[[Any], Any]:
+    """A function that is constant between its jumps. In balls nothing is known where it may jump; also at a jump."""
+
+    def function(a: Any) -> Any:
+        if isinstance(a, Function):
+            return a.function(name)
+        if isinstance(plain(a), Function):
+            return Dual(function(a.value), {})
+        value = arb(plain(a))
+        if name == "step":
+            known = (value > 0) - (value < 0)
+            found = fmpq((known + 1) // 2) if known else None
+        else:
+            low = value.floor().unique_fmpz()
+            found = None if low is None or not low < value < low + 1 else fmpq(low)
+        if found is not None:
+            return found
+        return _unknown(a, function) if isinstance(a, Dual) else arb("nan")
+
+    return function
 
 
 def power(a: Any, b: Any) -> Any:
@@ -75,14 +109,26 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": operator.add,
     "sub": operator.sub,
     "mul": times,
-    "div": lambda a, b: times(a, fmpq(1) / b),
+    "div": lambda a, b: times(a, _reciprocal(b)),
     "neg": operator.neg,
     "sq": lambda a: a * a,
     "fabs": lambda a: a.function("fabs") if isinstance(a, Value) else abs(a),
     "twice": lambda a: a + a,
-    "inv": lambda a: fmpq(1) / a,
+    "inv": _reciprocal,
     "sign": _direction,
     "pow": power,
+    **{name: _between(name) for name in ("floor", "step")},
+    "ceil": lambda a: -apply("floor", -a),
+    "fmod": lambda a, b: a - times(b, _towards_zero(times(a, _reciprocal(b)))),
+    "remainder": lambda a, b: a - times(b, apply("floor", times(a, _reciprocal(b)) + fmpq(1, 2))),
+    "lt": lambda a, b: apply("step", b - a),
+    "le": lambda a, b: 1 - apply("step", a - b),
+    "ne": lambda a, b: apply("step", a - b) + apply("step", b - a),
+    "eq": lambda a, b: 1 - apply("ne", a, b),
+    "not_": lambda a: 1 - a,
+    "and_": times,
+    "or_": lambda a, b: a + b - times(a, b),
+    "if_else_zero": lambda a, b: fmpq(0) if isinstance(a, fmpq) and a == 0 else times(a, b),
     "copysign": lambda a, b: apply("fabs", a) * _direction(b),
     "fmin": lambda a, b: (a + b - apply("fabs", a - b)) / 2,
     "fmax": lambda a, b: (a + b + apply("fabs", a - b)) / 2,
@@ -232,6 +278,12 @@ class Function(Value):
         """The symbols that occur, also inside of atoms."""
         return {k for k in self.present if k >= 0}.union(*(a.used for a in self.arguments))
 
+    @cached_property
+    def jumps(self) -> bool:
+        """Whether a function that jumps occurs, also inside of atoms."""
+        kinds = [kind for kind, _, _ in self.field.atoms]
+        return any(kinds[-1 - k] in _JUMPING for k in self.present if k < 0) or any(a.jumps for a in self.arguments)
+
     def number(self) -> fmpq | None:
         """The value of a constant."""
         constant = self.top.is_constant() and self.bottom.is_constant()
@@ -279,6 +331,7 @@ class Field:
         if key not in self.atoms:
             known = not self.closed or kind in _ENTIRE
             require(known, f"{kind} occurs in a proof but not in the model", NotCheckable)
+            modulus = self.atom("fabs", a) if kind == "sign" else self.lift(0)
             if len(self.atoms) == self.pool:
                 raise Grow(2 * self.pool, self.units)
             self.atoms[key] = a
@@ -287,6 +340,8 @@ class Field:
                 self.relations.append(new * new - a.top ** (2 if kind == "fabs" else 1))
             if kind == "sin":
                 self.relations.append(new * new + self.atom("cos", a).top ** 2 - 1)
+            if kind == "sign":  # times a it is |a|; its square is not one where a = 0
+                self.relations += [new * a.top - modulus.top * a.bottom, new * modulus.top * a.bottom - a.top]
             if kind == "log" and a.bottom.is_constant():
                 self.logarithms[str(new)] = a.top
             c = a.top.leading_coefficient() if kind == "exp" else fmpq(0)
@@ -300,11 +355,17 @@ class Field:
             return self._angle(a)[name == "cos"]
         if name == "exp":
             return prod((power(self.atom("exp", u), fmpq(k)) for u, k in self._multiples(a, False)), start=self.lift(1))
-        if (known := _known(name, a.number())) is not None:
+        number = a.number()
+        if name in _JUMPING and number is not None:
+            return self.lift(
+                number.floor() if name == "floor" else int(number > 0) - (name == "sign") * int(number < 0)
+            )
+        if (known := _known(name, number)) is not None:
             return self.lift(known)
-        if name == "fabs":
+        if name in ("fabs", "sign"):
             scale = a.top.leading_coefficient()
-            return self.lift(abs(scale)) * self.atom(name, a * (1 / scale))
+            size = abs(scale) if name == "fabs" else fmpq((scale > 0) - (scale < 0))
+            return self.lift(size) * self.atom(name, a * (1 / scale))
         negative = name in ODD and a.top.leading_coefficient() < 0
         return -self.atom(name, -a) if negative else self.atom(name, a)
 
@@ -388,15 +449,17 @@ class Field:
         """Whether a divisor in a function, or in the arguments of its atoms, may be zero somewhere."""
         return not self.everywhere(a.bottom) or any(map(self.has_poles, a.arguments))
 
-    def continued(self, slopes: list[Function]) -> list[Function]:
-        """Derivatives of functions that may hold |a|, if they are continuous too. Raises NotCheckable."""
-        smooth = all(kind != "fabs" for kind, _, _ in self.atoms) or all(self.everywhere(v.bottom) for v in slopes)
-        require(smooth, "a function or its derivative may jump", NotCheckable)
-        return slopes
+    def continued(self, functions: list[Function]) -> list[Function]:
+        """Functions and derivatives that are continuous wherever they are defined. Raises NotCheckable."""
+        require(not any(a.jumps for a in functions), "a function or its derivative may jump", NotCheckable)
+        return functions
 
     def entire(self, moduli: bool = False) -> bool:
-        """Whether everything computed so far is certainly defined and smooth at every state, apart from ``moduli``."""
-        known = _ENTIRE | {"fabs"} if moduli else _ENTIRE
+        """Whether everything computed so far is certainly defined and smooth at every state, apart from ``moduli``.
+
+        Their derivatives are functions that jump, of which nothing may be left: see :meth:`continued`.
+        """
+        known = _ENTIRE | {"fabs", "sign"} if moduli else _ENTIRE
         atoms = [(kind, a) for (kind, _, _), a in self.atoms.items()]
         smooth = all(kind in known or (kind in ("log", "sqrt") and self.positive(a)) for kind, a in atoms)
         unsure = [divisor for key, divisor in self.all_divisors.items() if key not in self.nowhere_zero]
@@ -460,7 +523,7 @@ class Dual(Value):
 
     def inverse(self) -> Dual:
         """The reciprocal."""
-        value = fmpq(1) / self.value
+        value = _reciprocal(self.value)
         return self._through(value, -(value * value))
 
     def function(self, name: str) -> Dual:
