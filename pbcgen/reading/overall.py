@@ -137,7 +137,7 @@ class Overall(Sectors):
 
     def along(self, chain: Elimination) -> Rests:
         """What this leaves free, and U, Gamma and the equations as functions of that."""
-        parts = self.constants, self.outputs, chain.equations
+        parts = self.constants, self.column("gamma"), chain.equations
         U, gamma, zero = ([chain.reduced(v) for v in part] for part in parts)
         G = [a + b for a, (b,) in zip(gamma, product(self.softness, [[v] for v in U]), strict=True)]
         return [k for k in range(self.n + self.m) if k not in chain.solved], U + G + zero
@@ -225,7 +225,7 @@ class Overall(Sectors):
         alpha, beta, m = self.model.vector("alpha"), self.model.vector("beta"), self.m
         outputs = [put_in(self.field, g, self.rest_point) for g in rests[1][m : 2 * m]]
         functions = rests[1][: 2 * m] + [rests[1][2 * m :][k] for k in chosen]
-        functions += [] if "R_psi" not in self.model.gains else self.outputs
+        functions += [] if "R_psi" not in self.model.gains else self.column("gamma")
 
         def function(z: Sequence[Any]) -> list[Any]:
             place = dict(zip(rests[0], z, strict="R_psi" not in self.model.gains))
@@ -246,7 +246,7 @@ class Overall(Sectors):
         a, b, away = gains["alpha_psi"][0], gains["beta_psi"][0], found[-self.m :]
         held = [apply("tanh", s * v) * c for c, s, v in zip(a, b, psi, strict=True)]
         yielding = product(self.softness, [[v] for v in held])
-        pulls = [put_in(self.field, g, star) for g in self.outputs]
+        pulls = [put_in(self.field, g, star) for g in self.column("gamma")]
         leak = product(gains["R_psi"], [[v] for v in psi])
         rows = zip(leak, a, b, away, pulls, psi, strict=True)
         filters = [r * apply("cosh", s * v) - (g - d) * c * s for (r,), c, s, g, d, v in rows]

@@ -134,13 +134,8 @@ class System:
         return [[self.field.lift(plain(v)) for v in row] for row in self.exact[name]]
 
     def column(self, name: str) -> list[Function]:
-        """A column of exact functions."""
-        return [v for (v,) in self.functions(name)]
-
-    @property
-    def outputs(self) -> list[Function]:
-        """gamma, which may jump."""
-        return [v for (v,) in self.written("gamma")]
+        """A column of exact functions, which may jump; :func:`slopes` of them may not be asked for then."""
+        return [v for (v,) in self.written(name)]
 
     def slope(self, name: str) -> Matrix:
         """The exact Jacobian of a column that does not jump, rows over the state."""
@@ -330,7 +325,7 @@ class System:
     def signals(self) -> dict[str, list[Any]]:
         """What the law reads, as functions of the state."""
         names = ["gamma", "eta"] if "natural-damping" in self.law else ["gamma"]
-        signals = {name: [v for (v,) in self.written(name)] for name in names}
+        signals = {name: self.column(name) for name in names}
         if self.compensated:
             signals["potential"] = self.force
         if "passive-output" in self.law:

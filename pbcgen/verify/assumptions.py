@@ -201,7 +201,7 @@ class Assumptions(Unseen):
 
     def proved_measurability(self) -> None:
         """What the law reads is a function of what is measured, up to a constant."""
-        values = self.readings.walk(self.field.lift, {"measured": [v for (v,) in self.written("measurement")]})
+        values = self.readings.walk(self.field.lift, {"measured": self.column("measurement")})
         for name, wanted in self.signals.items():
             pairs = zip(wanted, self.readings.matrix(name, values), strict=True)
             require(all((a - b).number() is not None for a, (b,) in pairs), f"{name} is not what is read")

@@ -25,8 +25,8 @@ _ENTIRE = {"exp", "sin", "cos", "tanh", "atan", "asinh", "erf"}
 BOUNDED = {"sin", "cos", "tanh", "erf"}
 AT_ZERO = {"exp": 1, "cos": 1} | dict.fromkeys([*ODD, "sin", "sqrt", "fabs"], 0)
 _FUNCTIONS = INCREASING | {"sin", "cos", "acos", "acosh"}
-#: Functions that are constant but for their jumps: the next lower integer; and 1 for what is positive, else 0.
-_JUMPING = {"floor", "step", "sign"}
+#: Functions that are constant but for their jumps.
+_JUMPING = {"floor", "sign"}
 #: Angles and exponents beyond this multiple of their unit are not expanded.
 _MOST_MULTIPLES = 24
 #: Polynomials with more terms than this are not factored.
@@ -46,47 +46,39 @@ def _reciprocal(a: Any) -> Any:
     return arb("nan") if isinstance(a, fmpq) and a == 0 else fmpq(1) / a
 
 
-def _direction(a: Any) -> Any:
-    """The sign, which is the derivative of the absolute value; at zero only a factor zero leaves something known."""
-    if isinstance(a, Function):
-        return a.function("sign")
-    if isinstance(plain(a), Function):
-        return Dual(_direction(a.value), {})
-    if sign(plain(a)) in (1, -1):
-        return fmpq(sign(plain(a)))
-    return _unknown(a, _direction) if isinstance(a, Dual) else arb(0, arb(2) ** 10**9)
+def _jumping(name: str) -> Callable[[Any], Any]:
+    """``floor``, or the sign, which is the slope of the absolute value. Beside its jumps it is constant.
 
-
-def _unknown(a: Dual, function: Callable[[Any], Any]) -> Dual:
-    """What a function makes of a dual where it may jump: no derivative of any order is known."""
-    return Dual(function(a.value), dict.fromkeys(a.slope, a.value * arb("nan")))
-
-
-def _towards_zero(a: Any) -> Any:
-    """The integer part."""
-    return times(apply("floor", a), apply("step", a)) - times(apply("floor", -a), apply("step", -a))
-
-
-def _between(name: str) -> Callable[[Any], Any]:
-    """A function that is constant between its jumps. In balls nothing is known where it may jump; also at a jump."""
+    Where it may jump, and at a jump, no derivative of any order is known, and of the value only that it is a number.
+    """
 
     def function(a: Any) -> Any:
         if isinstance(a, Function):
             return a.function(name)
         if isinstance(plain(a), Function):
             return Dual(function(a.value), {})
-        value = arb(plain(a))
-        if name == "step":
-            known = (value > 0) - (value < 0)
-            found = fmpq((known + 1) // 2) if known else None
-        else:
-            low = value.floor().unique_fmpz()
-            found = None if low is None or not low < value < low + 1 else fmpq(low)
-        if found is not None:
-            return found
-        return _unknown(a, function) if isinstance(a, Dual) else arb("nan")
+        value, side = arb(plain(a)), sign(plain(a))
+        low = value.floor().unique_fmpz() if name == "floor" else side
+        if low is not None and (side if name == "sign" else low < value < low + 1):
+            return fmpq(low)
+        if isinstance(a, Dual):
+            return Dual(function(a.value), dict.fromkeys(a.slope, a.value * arb("nan")))
+        return arb(0, arb(2) ** 10**9) if name == "sign" else arb("nan")
 
     return function
+
+
+_direction, _floor = _jumping("sign"), _jumping("floor")
+
+
+def _is_positive(a: Any) -> Any:
+    """1 for what is positive, else 0."""
+    return (_direction(a) + _direction(a) * _direction(a)) / 2
+
+
+def _whole(a: Any) -> Any:
+    """The integer part."""
+    return times(_floor(a), _is_positive(a)) - times(_floor(-a), _is_positive(-a))
 
 
 def power(a: Any, b: Any) -> Any:
@@ -117,13 +109,13 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "inv": _reciprocal,
     "sign": _direction,
     "pow": power,
-    **{name: _between(name) for name in ("floor", "step")},
-    "ceil": lambda a: -apply("floor", -a),
-    "fmod": lambda a, b: a - times(b, _towards_zero(times(a, _reciprocal(b)))),
-    "remainder": lambda a, b: a - times(b, apply("floor", times(a, _reciprocal(b)) + fmpq(1, 2))),
-    "lt": lambda a, b: apply("step", b - a),
-    "le": lambda a, b: 1 - apply("step", a - b),
-    "ne": lambda a, b: apply("step", a - b) + apply("step", b - a),
+    "floor": _floor,
+    "ceil": lambda a: -_floor(-a),
+    "fmod": lambda a, b: a - times(b, _whole(times(a, _reciprocal(b)))),
+    "remainder": lambda a, b: a - times(b, _floor(times(a, _reciprocal(b)) + fmpq(1, 2))),
+    "lt": lambda a, b: _is_positive(b - a),
+    "le": lambda a, b: 1 - _is_positive(a - b),
+    "ne": lambda a, b: _direction(a - b) * _direction(a - b),
     "eq": lambda a, b: 1 - apply("ne", a, b),
     "not_": lambda a: 1 - a,
     "and_": times,
@@ -364,8 +356,7 @@ class Field:
             return self.lift(known)
         if name in ("fabs", "sign"):
             scale = a.top.leading_coefficient()
-            size = abs(scale) if name == "fabs" else fmpq((scale > 0) - (scale < 0))
-            return self.lift(size) * self.atom(name, a * (1 / scale))
+            return self.lift(abs(scale) if name == "fabs" else sign(scale)) * self.atom(name, a * (1 / scale))
         negative = name in ODD and a.top.leading_coefficient() < 0
         return -self.atom(name, -a) if negative else self.atom(name, a)
 
