@@ -63,7 +63,7 @@ def alone(
         find_power: writes N with ``grad S = N f`` and ``grad gamma = -N g`` and gives its places, if there is one.
         circuit: of a circuit.
     """
-    ways = (_monotone, _determined, _convex, _circuit, _boxed)
+    ways = (_monotone, _determined, _convex, _circuit, _boxed, _by_states)
     return terms.first(partial(_tried, way, system, find_power, circuit) for way in ways)
 
 
@@ -152,7 +152,10 @@ def _linear(rests: Rests, left: Sequence[int], field: Field) -> dict[int, dict[i
 
 
 def _tried(way: Callable[[_Search], Witness], *parts: Any) -> Witness:
-    return way(_Search(*parts))
+    try:
+        return way(_Search(*parts))
+    except NotCheckable:
+        return None
 
 
 def _monotone(search: _Search) -> Witness:
@@ -165,6 +168,14 @@ def _determined(search: _Search) -> Witness:
     """Inputs that are determined, or affine in states that are left."""
     chain, steps = search.chain([*_states(search.system), *range(search.system.n, search.system.n + search.system.m)])
     return search.witness(search.system.along(chain), steps, {})
+
+
+def _by_states(search: _Search) -> Witness:
+    """Inputs as functions of states, as far as the states are on a domain that inputs alone do not know of."""
+    system = search.system
+    inputs = [*range(system.n, system.n + system.m)]
+    chain, steps = search.chain([*inputs, *_states(system)]) if system.field.ends else (system.standing, [])
+    return search.witness(system.along(chain), steps, {}) if steps else None
 
 
 def _states(system: Stability) -> list[int]:

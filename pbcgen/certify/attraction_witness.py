@@ -249,7 +249,7 @@ def _through(field: Field, polynomial: fmpq_mpoly, k: int) -> tuple[Function, st
 def in_squares(field: Field, matrix: Sequence[Sequence[Function]], terms: Writing) -> list[list[Any]] | None:
     """A matrix of the checker's functions as a sum of squares, written; None if that is not found."""
     angles = _angles(field)
-    found = decompose_matrix(as_quotients(field, matrix, angles), by_sign_or_harmonics)
+    found = decompose_matrix(as_quotients(field, matrix, angles), partial(by_sign_or_harmonics, ends=field.ends))
     return None if found is None else terms.squares(found, dict(enumerate(angles, len(field.symbols))))
 
 

@@ -6,6 +6,7 @@ They are looked for with the checker's own reading of the model, so that what is
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 from flint import fmpq
@@ -15,8 +16,9 @@ from pbcgen.certify.writing import Writing
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
 from pbcgen.symbolic.plain.elimination import put_in, slopes
 from pbcgen.symbolic.plain.formulas import rational
-from pbcgen.symbolic.plain.matrices import Matrix, diagonal, plus, symmetric
+from pbcgen.symbolic.plain.matrices import Matrix, diagonal, dot, plus, symmetric
 from pbcgen.symbolic.plain.values import NONNEGATIVE, Field, Function, sign
+from pbcgen.symbolic.real import approximate
 from pbcgen.verify.stability import Stability
 
 #: Slopes that functions may have at least.
@@ -28,6 +30,9 @@ _SPARE = (1, 10, 100)
 
 #: What a storage with higher powers may have of a square.
 _LITTLE = (fmpq(1), fmpq(1, 100))
+
+#: Bits of numbers that an input at x* is between.
+_BITS = 40
 
 #: (s, t) for the term s t^2 of a storage.
 Part = tuple[Function, Function]
@@ -53,6 +58,9 @@ def growth(
         least: s for squares that the storage has with the wrong sign, where higher powers may outgrow them.
     """
     field, n, gamma = system.field, system.n, system.column("gamma")
+    known = {k for k, pair in enumerate(system.ends[:n]) if None not in pair}
+    if len(known) == n:
+        return {}
     energy = system.column("S")[0]
     if system.compensated:
         energy = energy - system.potential(field.symbols[: system.half], field.lift)
@@ -73,7 +81,7 @@ def growth(
         rest = rest - g * weight_
     spans = _by_currents(system, parts, currents, terms) if currents else None
     if spans is None:
-        spans = _ordered(system, parts, [g if o else None for g, o in zip(gamma, outgrown, strict=True)], set(), terms)
+        spans = _ordered(system, parts, [g if o else None for g, o in zip(gamma, outgrown, strict=True)], known, terms)
     excess = None if spans is None or any(row is None for row in rows) else _excess(field, rest, terms)
     if excess is None:
         return None
@@ -83,18 +91,43 @@ def growth(
 
 def convex_growth(system: Stability, terms: Writing, kinetic: Sequence[Part] = ()) -> Witness:
     """The same for a storage that is convex in some states, beside a kinetic energy."""
-    field, gamma = system.field, system.column("gamma")
-    energy = system.column("S")[0]
+    gamma, energy = system.column("gamma"), system.column("S")[0]
     parts = [] if system.compensated else [*kinetic] or _kinetic(system, energy) or _separate(system, energy)
     parts = parts if _flat(system, parts, gamma) else []
     rest = _less(energy, parts)
     states = sorted(rest.used.union(*(v.used for v in gamma)))
-    H = [[slopes(field, v)[k] for k in states] for v in (slopes(field, rest)[k] for k in states)]
-    squares = None if system.compensated else in_squares(field, H, terms)
-    spans = None if squares is None else _ordered(system, parts, [], {*states}, terms)
+    shown = None if system.compensated else _bends(system, rest, states, terms)
+    spans = None if shown is None else _ordered(system, parts, [], {*states}, terms)
     if spans is None:
         return None
-    return {"parts": _written(parts, terms), "convex": {"states": states, "squares": squares}, "spans": spans}
+    return {"parts": _written(parts, terms), "convex": {"states": states} | (shown or {}), "spans": spans}
+
+
+def _bends(system: Stability, rest: Function, states: Sequence[int], terms: Writing) -> dict[str, Any] | None:
+    """Squares that show that the rest is convex; less what the inputs at x* do, unless gamma is affine."""
+    field, n, m = system.field, system.n, system.m
+    left = field.lift(rest - dot(system.constants, system.column("gamma")))
+    H = [[slopes(field, v)[k] for k in states] for v in (slopes(field, left)[k] for k in states)]
+    if all(v.used <= {*states} for row in H for v in row):
+        squares = in_squares(field, H, terms)
+        return None if squares is None else {"squares": squares}
+    forces = [sorted({decimal(u, side) for side in (-1, 1)}, key=rational) for u in system.point[1]]
+    corners = []
+    for corner in product(*forces):
+        place = [*field.symbols[:n], *map(rational, corner), *field.symbols[n + m :]]
+        squares = in_squares(field, [[field.lift(put_in(field, v, place)) for v in row] for row in H], terms)
+        if squares is None:
+            return None
+        corners.append({"squares": squares})
+    return {"forces": forces, "corners": corners}
+
+
+def decimal(value: Any, side: int) -> str:
+    """A number that is not larger (-1), or not smaller (1)."""
+    if isinstance(value, fmpq):
+        return str(value)
+    near = approximate(value)
+    return str(fmpq(round(near * 2**_BITS) + side * (1 + round(abs(near))), 2**_BITS))
 
 
 def _flat(system: Stability, parts: Sequence[Part], gamma: Sequence[Function]) -> bool:

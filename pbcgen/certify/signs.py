@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -29,12 +29,16 @@ _FEW = 400
 _MOST_TERMS, _ATOMS = 30, 64
 
 
-def by_sign(field: Field, polynomial: fmpq_mpoly) -> list[Square] | None:
-    """The polynomial as one factor, if it has atoms and the checker finds by its terms that it is positive."""
+def by_sign(field: Field, polynomial: fmpq_mpoly, ends: Mapping[int, Any] | None = None) -> list[Square] | None:
+    """The polynomial as one factor, if it has atoms and the checker finds by its terms that it is positive.
+
+    With ``ends`` of symbols where it is between these; then it need not have atoms.
+    """
     value = field.polynomial(polynomial)
-    if len(polynomial) > _MOST_TERMS or max(value.generators(), default=0) < field.symbol_count:
+    if len(polynomial) > _MOST_TERMS or (not ends and max(value.generators(), default=0) < field.symbol_count):
         return None
     writing, plain = Writing(), PlainField(field.symbol_count, _ATOMS)
+    plain.ends |= ends or {}
     place = writing.quotient(value)
     try:
         found = Formulas.parse(writing.lines()).walk(plain.lift, {"state": plain.symbols})[place]
@@ -43,9 +47,11 @@ def by_sign(field: Field, polynomial: fmpq_mpoly) -> list[Square] | None:
     return [Square(fmpq(1), (Factor("positive", value, None),), (field.const(1),))] if plain.positive(found) else None
 
 
-def by_sign_or_harmonics(field: Field, polynomial: fmpq_mpoly) -> list[Square] | None:
+def by_sign_or_harmonics(
+    field: Field, polynomial: fmpq_mpoly, ends: Mapping[int, Any] | None = None
+) -> list[Square] | None:
     """The polynomial by its terms, or by its harmonics if it has nothing but sines and cosines."""
-    signed = by_sign(field, polynomial)
+    signed = by_sign(field, polynomial, ends)
     return signed if signed is not None else harmonic_squares(field.polynomial(polynomial))
 
 

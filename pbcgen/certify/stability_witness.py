@@ -16,6 +16,7 @@ from pbcgen.certify.alone_witness import Circuit, alone
 from pbcgen.certify.attraction_witness import combined, read, steps_to_rest
 from pbcgen.certify.dissipation_witness import sampled_damping
 from pbcgen.certify.growth_witness import convex_growth, growth
+from pbcgen.certify.inside_witness import is_closed, kept, on_domain, rising
 from pbcgen.certify.limits_witness import what_is_left
 from pbcgen.certify.no_rest_witness import nowhere
 from pbcgen.certify.sectors_witness import in_sectors
@@ -186,7 +187,9 @@ class _Work:
         return self.terms.first([self._attracted])
 
     def _attracted(self, terms: Writing) -> Witness:
-        circuit = self.derivation.plant.system.circuit
+        circuit, loop = self.derivation.plant.system.circuit, self.system
+        if loop.model.domain:
+            loop = on_domain(loop, terms)
         currents, weight = [], []  # type: list[Any], list[list[fmpq]]
         if circuit is not None:
             _, (w, Xi) = self.derivation.plant.exact(circuit.P_gradient, circuit.Xi)
@@ -194,17 +197,25 @@ class _Work:
             weight = [[v.constant() or fmpq(0) for v in row] for row in Xi.dense(zero)]
             scratch = Writing()
             places = [scratch.quotient(v) for v in w.column(zero)]
-            values = read(self.system, scratch)
+            values = read(loop, scratch)
             currents = [values[place] for place in places]
-        kinetic = self._factors()
-        ways = [partial(growth, self.system, kinetic=kinetic)]
-        ways += [partial(growth, self.system, currents=currents, weight=weight)] if currents else []
-        grown = terms.first([*ways, partial(convex_growth, self.system, kinetic=kinetic)])
-        found = None if grown is None else steps_to_rest(self.system, terms)
+        grown = self._grown(loop, terms, currents, weight)
+        found = None if grown is None else steps_to_rest(loop, terms)
         if grown is None or found is None:
             return None
-        by_itself = alone(self.system, terms, self._power, self._as_circuit(currents))
+        by_itself = alone(loop, terms, self._power, self._as_circuit(currents))
         return None if by_itself is None else grown | found | {"alone": by_itself}
+
+    def _grown(self, loop: Stability, terms: Writing, currents: list[Any], weight: list[list[fmpq]]) -> Witness:
+        """That the storage grows; on a domain, that this is kept too, or the storage grows towards its ends."""
+        kinetic = self._factors()
+        ways = [partial(growth, loop, kinetic=kinetic)]
+        ways += [partial(growth, loop, currents=currents, weight=weight)] if currents else []
+        if loop.model.domain and not is_closed(loop):
+            return rising(loop)
+        ends = kept(loop, terms) if loop.model.domain else {}
+        grown = terms.first([*ways, partial(convex_growth, loop, kinetic=kinetic)])
+        return None if ends is None or grown is None else ends | grown
 
     def _as_circuit(self, currents: list[Any]) -> Circuit | None:
         """What is known of a circuit, where gamma is linear in its currents."""

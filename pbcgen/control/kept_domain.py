@@ -33,13 +33,13 @@ _BOXES, _PLACES = 3000, 81
 
 
 def is_kept(situation: Situation) -> bool:
-    """Whether no trajectory that starts in the stated domain leaves it, and f, g, S and gamma are smooth on it."""
+    """Whether no trajectory that starts in the stated domain leaves it; what the loop is made of is smooth on it."""
     plant, region = situation.plant, Region.stated(situation.plant)
     if region.is_whole or not plant.is_continuous or plant.system.m > _MOST_INPUTS:
         return False
     budget = Budget(_BOXES)
     try:
-        field, _ = plant.exact(plant.system.f, plant.system.g, plant.system.S, situation.gamma)
+        field, _ = plant.exact(plant.system.f, plant.system.g, plant.system.S, situation.read)
         if undefined(field, region.prover(budget), plant.system.n):
             return False
         return all(_points_inside(situation, region, *end, budget) for end in _ends(region))

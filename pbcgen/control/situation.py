@@ -101,7 +101,7 @@ class Situation:
         return self.point.u if self.compensation is None else (fmpq(0),) * self.plant.system.m
 
     @property
-    def _read(self) -> ca.SX:
+    def read(self) -> ca.SX:
         """What the controller reads of the state: gamma, and eta for natural damping; a column."""
         if isinstance(self.base, NaturalDamping) and self.eta is not None:
             return ca.vertcat(self.gamma, self.eta)
@@ -110,12 +110,12 @@ class Situation:
     @cached_property
     def undamped_plane(self) -> Plane | None:
         """A plane through x* in which the plant moves by itself and the controller sees nothing, or None."""
-        return undamped_plane(self.plant, self.point, self._read, self.compensation)
+        return undamped_plane(self.plant, self.point, self.read, self.compensation)
 
     @cached_property
     def undamped_set(self) -> InvariantSet | None:
         """The invariant set at u = u* with what the controller reads as at x*, if it is more than a point."""
-        found = self.at_target(self._read)
+        found = self.at_target(self.read)
         return None if found is None or not found.closed or found.pending or not found.free else found
 
     @cached_property

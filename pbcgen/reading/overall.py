@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -50,16 +51,20 @@ class Overall(Sectors):
 
         The storage is ``sum s_i t_i^2``, and a convex function of some states with a strict minimum at x*, or else
         ``sum lambda_j gamma_j``, squares and bounded terms. Step by step, some t_i (s_i > 0, known), and gamma_j whose
-        ln cosh outgrows ``lambda_j - u_j*``, bound further states: they grow with these at least linearly.
+        ln cosh outgrows ``lambda_j - u_j*``, bound further states: they grow with these at least linearly. A domain
+        bounds states too.
         """
+        bounded = {k for k, pair in enumerate(self.ends[: self.n]) if None not in pair}
+        if len(bounded) == self.n:
+            return
         V = self.potential(self.field.symbols[: self.half], self.field.lift) if self.compensated else 0
         rest, gamma = self.column("S")[0] - V, self.column("gamma")
         parts = [(self.placed[s], *self.field.continued([self.placed[t]])) for s, t in witness["parts"]]
         require(all(self.field.positive(s) for s, _ in parts), "a weight is not positive")
         rest = rest - sum((s * t * t for s, t in parts), self.field.lift(0))
-        outgrown, known = [True] * self.m, set[int]()
+        outgrown, known = [True] * self.m, bounded
         if "convex" in witness:
-            known = self._convex(rest, [t for _, t in parts], witness["convex"])
+            known = bounded | self._convex(rest, [t for _, t in parts], witness["convex"])
         else:
             outgrown = self._terms(rest, parts, witness)
         for step in witness["spans"]:
@@ -87,18 +92,31 @@ class Overall(Sectors):
         return outgrown
 
     def _convex(self, rest: Any, others: Sequence[Any], witness: Mapping[str, Any]) -> set[int]:
-        """The states y by which gamma, affine, and the rest of the storage are given, which is convex in them.
+        """The states y by which gamma is given, and the rest of the storage, which is convex in them around x*.
 
-        The other terms and their slopes by y vanish at x*: there the Hessian of the Lyapunov function by (y, x_c) is
-        positive definite without them, and the gradient zero. A convex function grows around a strict minimum.
+        The other terms and their slopes by y vanish at x*. For affine gamma the rest is convex, and with it the
+        Lyapunov function without these terms, whose Hessian by (y, x_c) is positive definite at x*. Else the rest less
+        ``u*^T gamma`` is convex, as it is for u at all corners of a box around u*, and its Hessian is positive definite
+        at x*; what the Lyapunov function has beside it is nowhere negative. A convex function grows around a strict
+        minimum.
         """
         states, gamma = {*witness["states"]}, self.column("gamma")
         require(not self.compensated and rest.used.union(*(v.used for v in gamma)) <= states, "another state occurs")
-        require(all(v.number() is not None for row in self.slope("gamma") for v in row), "gamma is not affine")
         flat = [v for t in others for v in (t, *(slopes(self.field, t)[k] for k in states))]
         require(all(sign(put_in(self.field, v, self.rest_point)) == 0 for v in flat), "a term does not vanish at x*")
-        H = [[slopes(self.field, v)[k] for k in states] for v in (slopes(self.field, rest)[k] for k in states)]
-        self.nonnegative(H, GLOBAL, witness)
+        left = self.field.lift(rest - dot(self.constants, gamma))
+        H = [[slopes(self.field, v)[k] for k in states] for v in (slopes(self.field, left)[k] for k in states)]
+        if "forces" not in witness:
+            require(all(v.used <= states for row in H for v in row), "gamma is not affine")
+            self.nonnegative(H, GLOBAL, witness)
+            return states
+        box = [{*map(rational, ends)} for ends in witness["forces"]]
+        for corner, part in zip(itertools.product(*map(sorted, box)), witness["corners"], strict=True):
+            place = [*self.field.symbols[: self.n], *corner, *self.field.symbols[self.n + self.m :]]
+            self.nonnegative([[put_in(self.field, v, place) for v in row] for row in H], GLOBAL, part)
+        holds = all({sign(u - min(e)), sign(max(e) - u)} <= {0, 1} for u, e in zip(self.point[1], box, strict=True))
+        strict = is_definite([[put_in(self.field, v, self.rest_point) for v in row] for row in H])
+        require(holds and strict, "there may be no strict minimum")
         return states
 
     # --- rests -----------------------------------------------------------------------------------------------------
@@ -116,7 +134,8 @@ class Overall(Sectors):
                 chain.equations.append(sum(weighted, self.field.lift(0)))
             elif len(rest) == 1:
                 (k,), e = rest, chain.reduced(chain.equations[source])
-                values = [arb(put_in(self.field, e, [fmpq(v)] * len(self.field.symbols))) for v in (1, 2, 3)]
+                places = [[self.field.within(j, fmpq(v)) for j in range(len(self.field.symbols))] for v in (1, 2, 3)]
+                values = [arb(put_in(self.field, e, place)) for place in places]
                 require(e.used == {k} and self.field.entire() and {1, -1} & {*map(sign, values)}, "the state may move")
                 chain.equations.append(chain.rates[k])
             elif rest:

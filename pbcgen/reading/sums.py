@@ -16,6 +16,8 @@ from pbcgen.symbolic.plain.matrices import Matrix, dot, plus
 from pbcgen.symbolic.plain.outcomes import Malformed, NotCheckable, require
 from pbcgen.symbolic.plain.values import AT_ZERO, INCREASING, Dual, never_negative, partial, plain
 
+Ends = tuple[fmpq | None, fmpq | None]
+
 _AMPLITUDES = ("alpha", "alpha_c", "alpha_l", "alpha_psi", "k_p")
 
 
@@ -26,6 +28,7 @@ class Sums(System):
         super().__init__(document, *settings)
         self.passed: set[str] = set()
         self.readings = Formulas.parse(document["readings"])
+        self.reach: list[Ends] = []  # of the inputs, where it is looked at
         require(len(self.witness) == len(document["claims"]), "a claim is made twice", Malformed)
         self.domain, self.status = ({c["claim"]: c[key] for c in document["claims"]} for key in ("domain", "status"))
 
@@ -102,7 +105,7 @@ class Sums(System):
             return self._by_boxes(claim, a, *b)
         if kind in ("above", "below"):
             require(self.restricted(claim), "the claim is not restricted to the domain")
-            bound = self.model.domain[self.states[a]][kind == "below"]
+            bound = self.ends[a][kind == "below"]
             require(bound is not None and a >= 0, "there is no such bound")
             return (self.field.symbols[a] - bound) * (1 if kind == "above" else -1)
         if kind == "positive":
@@ -129,12 +132,16 @@ class Sums(System):
         return self.placed[place]
 
     @property
+    def pull(self) -> list[fmpq]:
+        """The size of all tanh of an input together."""
+        present = [self.model.gains[name][0] for name in _AMPLITUDES if name in self.model.gains]
+        return [sum(column, fmpq(0)) for column in zip(*present, strict=True)]
+
+    @property
     def rooms(self) -> list[Any]:
         """What is left to each limit of the inputs when every tanh is at its worst."""
-        present = [self.model.gains[name][0] for name in _AMPLITUDES if name in self.model.gains]
-        sizes = [sum(column, fmpq(0)) for column in zip(*present, strict=True)]
         held = self.force if self.compensated else self.point[1]
-        left = [b - dot(row, held) - dot([abs(a) for a in row], sizes) for row, b in self.model.limits]
+        left = [b - dot(row, held) - dot([abs(a) for a in row], self.pull) for row, b in self.model.limits]
         return [self.field.lift(v) for v in left] if self.compensated else left
 
     def extent(self, claim: str, function: Any, k: int) -> tuple[Any, Any]:
@@ -142,7 +149,7 @@ class Sums(System):
 
         The state must then occur inside sines and cosines only, with one frequency.
         """
-        lo, hi = self.model.domain.get(self.states[k], (None, None))
+        lo, hi = self.ends[k]
         if lo is not None and hi is not None and self.restricted(claim):
             return lo, hi
         degrees, pool = function.top.degrees(), self.field.pool
@@ -158,10 +165,17 @@ class Sums(System):
         """Whether a claim speaks of states in the domain of the model only."""
         return claim in ("saturation", "equilibrium") or self.on_box(claim)
 
+    @property
+    def ends(self) -> list[Ends]:
+        """The ends of each state on the domain, and those of the inputs where they are known."""
+        return [(*self.model.domain.get(name, (None, None)),) for name in self.states] + self.reach
+
     def on_box(self, claim: str) -> bool:
-        """Whether the claim is stated on the domain of the model."""
-        both = re.findall(r"(\S+) in \[([^,]+), ([^\]]+)\]", self.domain[claim])
-        one = re.findall(r"(\S+) (>=|<=) ([^,\s]+)", self.domain[claim])
-        box = {name: [rational(lo), rational(hi)] for name, lo, hi in both}
-        box |= {name: [rational(v) if side == s else None for s in (">=", "<=")] for name, side, v in one}
-        return bool(box) and box == self.model.domain
+        """Whether the claim is stated on the domain of the model, with its ends or without."""
+        text = self.domain[claim].removesuffix(" where the model is defined")
+        part = r"(\S+) (?:in [\[(]([^,]+), ([^\])]+)[\])]|([<>])=? ([^,\s]+))(?:, |$)"
+        box = {
+            name: [rational(lo), rational(hi)] if lo else [rational(end) if side == s else None for s in "><"]
+            for name, lo, hi, side, end in re.findall(part, text)
+        }
+        return box == self.model.domain != {} and not re.sub(part, "", text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
+from operator import truediv
 from typing import Any
 
 from flint import arb, fmpq, fmpq_mat
@@ -15,7 +16,7 @@ from pbcgen.symbolic.plain.formulas import Formulas, Known, Lift, combination, r
 from pbcgen.symbolic.plain.matrices import Matrix, blocks, diagonal, dot, negative, plus, product, symmetric, transpose
 from pbcgen.symbolic.plain.outcomes import NotCheckable, require
 from pbcgen.symbolic.plain.spectra import inverse, krawczyk, zero_order_hold
-from pbcgen.symbolic.plain.values import Dual, Field, Function, partial, plain, sign, variables
+from pbcgen.symbolic.plain.values import Dual, Field, Function, apply, between, partial, plain, sign, variables
 
 #: How the names of what an equilibrium asks for begin.
 RESTING = "[fg]$|target "
@@ -38,6 +39,8 @@ class System:
         self.states, self.inputs, self.law = (self.model.words[name] for name in ("states", "inputs", "law"))
         self.n, self.m, self.half = len(self.states), len(self.inputs), len(self.states) // 2
         self.moves: dict[int, list[Any]] = {}  # the slopes of x* by the settings, where these are looked at
+        self.document = document
+        self.opened: dict[int, tuple[Any, Any]] = {}  # the ends of states that are written by exp(z)
         self.compensated = "potential-compensation" in self.law
         self.inertia = document.get("inertia", [])  # of a system that is read in positions and velocities
         # The inputs are symbols too, and so are the accelerations.
@@ -81,7 +84,9 @@ class System:
         require(not self.inertia, "this is not known in positions and velocities", NotCheckable)
 
     def state_at(self, z: Sequence[Any], lift: Lift) -> list[Any]:
-        """The state with these coordinates: (q, M v) for (q, v), else z itself."""
+        """The state with these coordinates: (q, M v) for (q, v), else z itself or what stands between ends."""
+        opened = {k: truediv(*between(*ends, apply("exp", z[k]))) for k, ends in self.opened.items()}
+        z = [opened.get(k, v) for k, v in enumerate(z)]
         rows = self.mass(z, lift)
         return [*z[: self.half], *(dot(row, z[self.half :]) for row in rows)] if rows else list(z)
 
@@ -190,7 +195,7 @@ class System:
         require(all(self.field.lift(v).top.is_zero() for v in functions), otherwise)
         size = [fmpq(1117 * k + 313, 719 * k + 1021) for k in range(len(self.field.symbols))]
         sides = [(c, c * a, c * b, c * a * b) for a in (1, -1) for b in (1, -1) for c in (1, -1)]
-        points = [[v * side[k % 4] for k, v in enumerate(size)] for side in sides]
+        points = [[self.field.within(k, v * side[k % 4]) for k, v in enumerate(size)] for side in sides]
         for divisor in self.field.divisors.values():
             values = [arb(self.field.at(divisor, point)) for point in points]
             nonzero = [sign(v) in (1, -1) for v in values if v.is_finite()]

@@ -31,6 +31,12 @@ def test_a_piston_on_a_gas_spring_returns_from_every_volume(V):
     assert _verdict(_piston(V), {"q": "1.3"}) == ("PROVED", "q > 0")
 
 
+def test_what_a_gas_spring_stores_has_no_value_where_it_is_crushed():
+    claims = _claims(_piston(lambda q: q - ca.log(q)), {"q": "1.3"})
+    where = {claims[name].domain for name in ("assumption-1", "passive-output")}
+    assert where == {"all x where the model is defined"}
+
+
 def test_an_upper_end_and_another_place_serve_too():
     assert _verdict(_piston(lambda q: -q - ca.log(2 - q), (None, 2)), {"q": "1.5"}) == ("PROVED", "q < 2")
     assert _verdict(_piston(lambda q: q - ca.log(q - 0.5), ("0.5", None)), {"q": "1.3"}) == ("PROVED", "q > 0.5")

@@ -374,6 +374,41 @@ def test_signs_that_hold_everywhere(make, expected):
     assert field.positive(a) == (expected == 1)
 
 
+@pytest.mark.parametrize(
+    ("make", "ends", "expected"),
+    [
+        (lambda s, t: s, (0, None), 1),
+        (lambda s, t: s, (None, 0), -1),
+        (lambda s, t: s, (-1, None), 0),
+        (lambda s, t: s * s - 1, (1, None), 1),
+        (lambda s, t: s * s - 1, (fmpq(99, 100), None), 0),
+        (lambda s, t: 5 - s, (0, 5), 1),
+        (lambda s, t: s * (5 - s), (0, 5), 1),
+        (lambda s, t: s * (5 - s), (0, fmpq(501, 100)), 0),
+        (lambda s, t: s * (5 - s) - 1, (0, 5), 0),
+        (lambda s, t: s + t * t, (0, 1), 1),
+        (lambda s, t: s - t * t, (0, 1), 0),
+        (lambda s, t: s - t, (0, 1), 0),
+        (lambda s, t: s + apply("sin", s), (0, None), 0),  # what is inside of functions is not known
+        (lambda s, t: s + 1 + apply("sin", s), (0, None), 1),
+    ],
+)
+def test_signs_that_hold_between_ends(make, ends, expected):
+    field = Field(2, 8)
+    field.ends = {0: tuple(None if v is None else fmpq(v) for v in ends)}
+    assert field.everywhere(field.lift(make(*field.symbols)).top) == expected
+
+
+def test_the_logarithm_of_an_exponential_is_its_argument():
+    field = Field(2, 8)
+    s, t = field.symbols
+    assert not (apply("log", apply("exp", s)) - s).top
+    assert not (apply("log", apply("exp", s + t * 3)) - s - t * 3).top
+    assert (apply("log", apply("exp", s) * 2) - s).top
+    assert (apply("log", apply("exp", s) * t) - s).top
+    assert (apply("log", s * s) - apply("log", s) * 2).top  # of another sign
+
+
 def test_a_bound_counts_every_term_and_none_is_known_of_what_is_unbounded():
     field = Field(2, 8)
     a, b = field.symbols

@@ -22,7 +22,8 @@ def put_in(field: Field, a: Function, values: Sequence[Any]) -> Any:
     (content, factors), value, safe = a.bottom.factor(), field.at(a.top, values), field.everywhere(a.bottom)
     for factor, times in factors:
         below = field.at(factor, values)
-        if isinstance(plain(below), Function) and (safe or field.everywhere(factor)):  # so it is whatever is put in
+        known = isinstance(plain(below), Function) and not field.ends  # what is put in may be beyond these
+        if known and (safe or field.everywhere(factor)):  # so it is whatever is put in
             field.nowhere_zero.add(str(plain(below).top))
         for _ in range(int(times)):
             value = value / below

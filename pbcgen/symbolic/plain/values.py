@@ -20,8 +20,9 @@ from pbcgen.symbolic.plain.outcomes import NotCheckable, require
 ODD = {"tanh", "atan", "asinh", "erf", "asin", "atanh", "erfinv"}
 #: Functions that increase, and that are nowhere negative, where they are defined.
 INCREASING, NONNEGATIVE = ODD | {"exp", "log", "sqrt"}, {"exp", "sqrt", "fabs"}
-#: Functions that are analytic on the whole line; the others may enter a proof only where the model has them.
+#: Functions that are analytic on the whole line; others may enter a proof only where they are, or the model has them.
 _ENTIRE = {"exp", "sin", "cos", "tanh", "atan", "asinh", "erf"}
+_OF_POSITIVE = {"log", "sqrt"}  # analytic where the argument is positive
 BOUNDED = {"sin", "cos", "tanh", "erf"}
 AT_ZERO = {"exp": 1, "cos": 1} | dict.fromkeys([*ODD, "sin", "sqrt", "fabs"], 0)
 _FUNCTIONS = INCREASING | {"sin", "cos", "acos", "acosh"}
@@ -201,6 +202,11 @@ def sign(value: Any) -> int | None:
     return 0 if value == 0 and (isinstance(value, fmpq) or value.is_exact()) else None
 
 
+def between(lo: Any, hi: Any, t: Any) -> tuple[Any, Any]:
+    """(a, b) with b > 0 and ``a / b`` between the ends, one of which may be None, as t runs through all t > 0."""
+    return (t + lo if hi is None else hi - t if lo is None else t * hi + lo), (1 if None in (lo, hi) else t + 1)
+
+
 class Value:
     """The operators that follow from sum, product, negation and inverse."""
 
@@ -298,9 +304,11 @@ class Field:
         self.atoms: dict[tuple[str, str, str], Function] = {}
         self.relations: list[fmpq_mpoly] = []
         self.logarithms: dict[str, fmpq_mpoly] = {}
+        self.exponents: dict[str, Function] = {}
         self.divisors: dict[str, fmpq_mpoly] = {}
         self.all_divisors: dict[str, fmpq_mpoly] = {}
         self.nowhere_zero: set[str] = set()
+        self.ends: dict[int, tuple[fmpq | None, fmpq | None]] = {}  # symbols stay between these, where signs are asked
 
     def lift(self, value: Any) -> Function:
         """A number as a function."""
@@ -321,7 +329,7 @@ class Field:
         """The indeterminate for ``kind(a)``; a new one is larger than all before, so that relations reduce it."""
         key = (kind, str(a.top), str(a.bottom))
         if key not in self.atoms:
-            known = not self.closed or kind in _ENTIRE
+            known = not self.closed or kind in _ENTIRE or (kind in _OF_POSITIVE and self.positive(a))
             require(known, f"{kind} occurs in a proof but not in the model", NotCheckable)
             modulus = self.atom("fabs", a) if kind == "sign" else self.lift(0)
             if len(self.atoms) == self.pool:
@@ -334,6 +342,8 @@ class Field:
                 self.relations.append(new * new + self.atom("cos", a).top ** 2 - 1)
             if kind == "sign":  # times a it is |a|; its square is not one where a = 0
                 self.relations += [new * a.top - modulus.top * a.bottom, new * modulus.top * a.bottom - a.top]
+            if kind == "exp":
+                self.exponents[str(new)] = a
             if kind == "log" and a.bottom.is_constant():
                 self.logarithms[str(new)] = a.top
             c = a.top.leading_coefficient() if kind == "exp" else fmpq(0)
@@ -354,6 +364,11 @@ class Field:
             )
         if (known := _known(name, number)) is not None:
             return self.lift(known)
+        if name == "log" and len(a.top) == 1 and a.top.leading_coefficient() == a.bottom == 1:
+            degrees = zip(self.generators, map(int, a.top.degrees()), strict=True)
+            powers = [(self.exponents.get(str(g)), d) for g, d in degrees if d]
+            if all(e for e, _ in powers):
+                return sum((e * d for e, d in powers if e), self.lift(0))
         if name in ("fabs", "sign"):
             scale = a.top.leading_coefficient()
             return self.lift(abs(scale) if name == "fabs" else sign(scale)) * self.atom(name, a * (1 / scale))
@@ -397,7 +412,25 @@ class Field:
         sizes = (prod((s ** int(d) for s, d in zip(size, e, strict=True) if d), start=abs(c)) for e, c in terms)
         return centre, sum(sizes, -abs(centre)) if a.bottom.is_constant() else arb("inf")
 
+    def within(self, k: int, t: fmpq) -> fmpq:
+        """A value of symbol k, between its ends if it has any."""
+        return operator.truediv(*between(*self.ends[k], abs(t))) if k in self.ends else t
+
     def everywhere(self, a: fmpq_mpoly) -> int:
+        """1 or -1 when the polynomial certainly has this sign everywhere between the ends of its symbols, else 0.
+
+        Outside of atoms these are written by numbers that are positive.
+        """
+        for k, ends in self.ends.items():
+            place, total = self.pool + k, self.one * 0
+            degree, (top, bottom) = int(a.degrees()[place]), between(*ends, self.generators[place])
+            for exponents, c in a.to_dict().items():
+                others, d = tuple(0 if j == place else e for j, e in enumerate(exponents)), int(exponents[place])
+                total += self.ctx.from_dict({others: c}) * (self.one * top) ** d * (self.one * bottom) ** (degree - d)
+            a = total
+        return self._signed(a)
+
+    def _signed(self, a: fmpq_mpoly) -> int:
         """1 or -1 when the polynomial certainly has this sign everywhere, else 0.
 
         A number is evaluated. Terms that are nowhere negative count as zero or, when they have only exponentials and
@@ -423,13 +456,13 @@ class Field:
             return 0
         for k in (k for k, degree in enumerate(a.degrees()) if degree == 2):  # complete the square
             slope, bend = a.derivative(k), a.derivative(k).derivative(k)
-            if (side := self.everywhere(bend)) and self.everywhere(2 * bend * a - slope * slope) == 1:
+            if (side := self._signed(bend)) and self._signed(2 * bend * a - slope * slope) == 1:
                 return side
             break
         content, factors = a.factor() if len(a) > 1 else (0, [])
         if not factors or factors[0][0].total_degree() == a.total_degree():
             return 0
-        signs = [self.everywhere(factor) ** int(times) for factor, times in factors]
+        signs = [self._signed(factor) ** int(times) for factor, times in factors]
         return int(prod(signs, start=1 if content > 0 else -1))
 
     def positive(self, a: Function) -> bool:
@@ -452,7 +485,7 @@ class Field:
         """
         known = _ENTIRE | {"fabs", "sign"} if moduli else _ENTIRE
         atoms = [(kind, a) for (kind, _, _), a in self.atoms.items()]
-        smooth = all(kind in known or (kind in ("log", "sqrt") and self.positive(a)) for kind, a in atoms)
+        smooth = all(kind in known or (kind in _OF_POSITIVE and self.positive(a)) for kind, a in atoms)
         unsure = [divisor for key, divisor in self.all_divisors.items() if key not in self.nowhere_zero]
         return smooth and all(self.everywhere(divisor) for divisor in unsure)
 
@@ -462,6 +495,8 @@ class Field:
         return kind == "exp" or (kind == "sqrt" and self.positive([*self.atoms.values()][self.pool - 1 - k]))
 
     def _kind(self, k: int) -> str:
+        if k - self.pool in self.ends:  # written by a positive number
+            return "exp"
         number = self.pool - 1 - k
         return [*self.atoms][number][0] if 0 <= number < len(self.atoms) else ""
 
