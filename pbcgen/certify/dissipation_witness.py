@@ -93,13 +93,19 @@ def _programmed(plant: Plant, gamma: ca.SX, region: Region) -> list[Square] | No
     balance = -ca.dot(plant.gradient, rate) + (ca.dot(u, ca.mtimes(ca.jacobian(gamma, system.x), rate)) if m else 0)
     field, (value,) = plant.exact(balance)
     total, bounds = value.scalar(field.const(0)), dict(enumerate(region.bounds))
-    found = find_squares(field, total.numerator, bounds) if total.is_polynomial() else None
+    below = field.polynomial(total.denominator)
+    divisors, found = decompose(below), find_squares(field, total.numerator, bounds)
     squares = None if found is None else of_programme(field, found, bounds)
-    if squares is None:
+    if squares is None or divisors is None:
         return None
     positions = [system.n + j for j in range(m)]
     split = [_split(square.vector[0], positions) for square in squares]
-    return [Square(s.weight, s.factors, v) for s, v in zip(squares, split, strict=True) if v is not None]
+    return [  # p / q = p q / q^2
+        Square(s.weight * d.weight, (*s.factors, *d.factors), tuple(entry * d.vector[0] / below for entry in v))
+        for s, v in zip(squares, split, strict=True)
+        for d in divisors
+        if v is not None
+    ]
 
 
 def _split(value: Quotient, positions: Sequence[int]) -> tuple[Quotient, ...] | None:

@@ -306,7 +306,8 @@ class _Work:
             return self._varied(claim.certificate["storage"])
         large = len(self.system.continuous) > LARGEST_ROUTH
         decreases = large and rational(claim.certificate.get("lyapunov_period", "0")) > self.system.period
-        if claim.domain == "sampled loop, all x" or decreases or not (large or stable(self.system.sampled, True)):
+        needed = claim.domain == "sampled loop, all x" or decreases or self.system.jitter
+        if needed or not (large or stable(self.system.sampled, True)):
             damped = "natural-damping" in self.system.law
             if self.system.inertia:
                 found = velocity_witness.sampled_damping(self.derivation, self.system, damped, self.terms)

@@ -4,12 +4,14 @@ import copy
 import json
 from fractions import Fraction
 
+import casadi as ca
 import numpy as np
 import pytest
 from certificates import forged, fully_measured, outcomes, signed
 from flint import arb_mat, fmpq
 from scipy.linalg import expm
 
+from pbcgen import AffineSystem, Design, DynamicExtension
 from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.models.loader import load
@@ -105,3 +107,16 @@ def test_the_controller_steps_by_its_own_period(varied):
     x[:, : n + len(Q)] += push_late @ u
     expected = np.vstack([x, np.hstack([xi, np.zeros((len(Q), 1))]), np.hstack([u, np.zeros((1, 1))])])
     np.testing.assert_allclose(step, expected, rtol=1e-8, atol=1e-8)
+
+
+def test_what_the_storage_shows_for_all_sequences_of_periods_is_checked():
+    """A motor on a spring that softens, so that the claim is local: the damping shows it."""
+    i, w, q, u = (ca.SX.sym(name) for name in ("i", "w", "q", "u"))
+    S = i**2 / 2 + w**2 / 2 + 1 - ca.cos(q)
+    system = AffineSystem([i, w, q], [u], [-i - w, i - ca.tanh(3 * w) - ca.sin(q), w], [1, 0, 0], S)
+    law = DynamicExtension(alpha=1, beta=1, R_c=5, K_c=2)
+    design = Design(system, {"q": 0}, law, sample_period="1e-3", jitter="1/50", name="motor")
+    document = json.loads(json.dumps(certificate(derive(design))))
+    (entry,) = (entry for entry in document["claims"] if entry["claim"] == "sampled-stable")
+    assert (entry["domain"], "Lambda" in entry["witness"]) == ("sampled loop", True)
+    assert outcomes(document)["sampled-stable"] == "checked"

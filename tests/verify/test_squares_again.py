@@ -25,6 +25,20 @@ def test_a_sum_of_squares_from_semidefinite_programming_is_checked():
     assert outcomes(with_witness(document, "assumption-1", squares=other))["assumption-1"] == "fails"
 
 
+def test_a_sum_of_squares_over_exponentials_is_checked():
+    """The power is a quotient of polynomials in exp(x1), and friction beside the structure leaves it none."""
+    pytest.importorskip("clarabel")
+    x = ca.SX.sym("x", 2)
+    S = ca.cosh(x[1]) + x[0] ** 4 / 4 + ca.sumsqr(x) / 2
+    e = ca.gradient(S, x)
+    f = [e[1] - e[0] / 2 - 0.3 * x[0], -e[0] - e[1] / 2]
+    system = AffineSystem(x, [ca.SX.sym("u")], f, [0, 1], S)
+    design = Design(system, {"x_1": 0}, DynamicExtension(1, 1, 1, 1), sample_period="1e-3", name="d")
+    document = written_for(design)
+    assert outcomes(document)["assumption-1"] == "checked"
+    assert outcomes(with_witness(document, "assumption-1", squares=[]))["assumption-1"] == "fails"
+
+
 def _with_tree(document, change):
     squares = copy.deepcopy(witness(document, "assumption-1")["squares"])
     for _, factors, _ in squares:
