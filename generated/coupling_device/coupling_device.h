@@ -15,22 +15,22 @@
  * Timing in the verdicts: outputs act at once, periods do not vary.
  *
  * Verdicts on the model (in exact or certified arithmetic; the C rounds):
- *   input-rank                      PROVED     all x
- *   equilibrium                     PROVED     at x*
- *   assumption-1                    PROVED     all x
- *   passive-output                  PROVED     all x
- *   gradient-condition              PROVED     at x*
- *   hessian-condition               PROVED     at x*
- *   gain-definiteness               PROVED     all x
- *   kc-bound                        PROVED     at x*
- *   assumption-3                    PROVED     all x
- *   theta                           REFUTED    all x
- *   measurability                   PROVED     all x
- *   saturation                      PROVED     all inputs
- *   stable                          PROVED     near x*
- *   asymptotically-stable           PROVED     near x*
- *   globally-asymptotically-stable  UNDECIDED  all x
- *   sampled-stable                  PROVED     sampled loop
+ *   input-rank                      PROVED   all x
+ *   equilibrium                     PROVED   at x*
+ *   assumption-1                    PROVED   all x
+ *   passive-output                  PROVED   all x
+ *   gradient-condition              PROVED   at x*
+ *   hessian-condition               PROVED   at x*
+ *   gain-definiteness               PROVED   all x
+ *   kc-bound                        PROVED   at x*
+ *   assumption-3                    PROVED   all x
+ *   theta                           REFUTED  all x
+ *   measurability                   PROVED   all x
+ *   saturation                      PROVED   all inputs
+ *   stable                          PROVED   near x*
+ *   asymptotically-stable           PROVED   near x*
+ *   globally-asymptotically-stable  REFUTED  all x
+ *   sampled-stable                  PROVED   sampled loop
  */
 #ifndef COUPLING_DEVICE_H
 #define COUPLING_DEVICE_H

@@ -270,7 +270,7 @@ class _Work:
     def _second(self, claim: Claim) -> Witness:
         """The other equilibrium, to many digits."""
         system, plant = self.system, self.derivation.plant.system
-        if system.status["asymptotically-stable"] == "REFUTED":
+        if system.status["asymptotically-stable"] == "REFUTED" or "period" in (claim.counterexample or {}):
             return None
         if "growth" in (claim.counterexample or {}):
             return {"growth": str((claim.counterexample or {})["growth"])}

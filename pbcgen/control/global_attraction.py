@@ -11,6 +11,7 @@ import casadi as ca
 from pbcgen.control.absolute import METHOD, absolutely_stable, far_oscillation, sectors
 from pbcgen.control.escape import growth_rate
 from pbcgen.control.kept_domain import is_kept, way_out
+from pbcgen.control.limit_cycle import limit_cycle
 from pbcgen.control.only_rest import only_rest, storage_is_convex
 from pbcgen.control.other_rest import other_rest
 from pbcgen.control.situation import Situation
@@ -51,7 +52,10 @@ def globally(situation: Situation, by_lyapunov: bool, asymptotic: Claim, stored:
     why = None if loop is None else absolutely_stable(situation, loop)
     if why is not None:
         return _verdict(Status.PROVED, METHOD, why)
-    doubt = "" if loop is None else far_oscillation(loop)
+    cycle = limit_cycle(situation)
+    if isinstance(cycle, Claim):
+        return replace(cycle, hint=f"the claim can only be local; {proved_or_open.hint}")
+    doubt = cycle or ("" if loop is None else far_oscillation(loop))
     hint = f"simulate from far away; {proved_or_open.hint}" if doubt else proved_or_open.hint
     return replace(proved_or_open, evidence="; ".join(filter(None, [proved_or_open.evidence, doubt])), hint=hint)
 
