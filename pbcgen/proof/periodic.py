@@ -9,25 +9,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import numpy as np
 
 from pbcgen.proof.collocation import Arc, Array, Field, Rule, arcs
 from pbcgen.proof.tube import Motion, Passage, Piece, VectorField, closes, motion, passage, turns
 
-_ROUGHEST, _ROUGH, _FINE = 1e-6, 1e-9, 1e-11
-_DEGREE = 12
+_ROUGH, _FINE = 1e-6, 1e-11
+#: What the ends of a lap may be apart.
+_CLOSED = 5e-13
+_ROUGH_DEGREE, _DEGREE = 6, 12
 _STEPS = 12
 #: Sizes of tubes along directions that decay slowly, and along others: where F bends within a short time, and else.
-_BENT, _SMOOTH = ((5e-8, 5e-10),), ((1e-6, 1e-7), (5e-8, 5e-10))
+_BENT, _SMOOTH = ((6e-8, 4e-10), (1e-7, 3e-10)), ((1e-6, 1e-7), (6e-8, 4e-10))
 #: Multipliers over a period that count as slow.
 _SLOW = 1e-6
 #: Decay over a piece, beyond which a direction is not followed.
 _STIFF = 1.5
 #: How much the frame may turn in a piece.
 _TURN = 0.85
-#: Pieces so short beside others are where F bends.
-_SHORT = 0.01
+#: Pieces so short beside others are where F bends; the section may be tilted where they are not shorter than that.
+_SHORT, _WIDE = 0.01, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,19 +71,21 @@ def shoot(rates: Field, start: Array, duration: float, turn: int) -> Cycle | Non
         duration: about its period, or half of it where ``turn`` is -1.
         turn: -1 for fields with ``F(-x) = -F(x)`` and a trajectory that is its own image.
     """
-    n, rule, tolerance = len(start), Rule.of(_DEGREE), _ROUGHEST
+    n, rule, tolerance = len(start), Rule.of(_ROUGH_DEGREE), _ROUGH
     for _ in range(_STEPS):
         found = list(arcs(rates, rule, start, duration, tolerance))
-        if abs(sum(one.duration for one in found) / duration - 1) > 1e-9:
+        if not found or abs(sum(one.duration for one in found) / duration - 1) > 1e-9:
             return None
-        lap = turn * np.linalg.multi_dot([*(one.spread[-1] for one in reversed(found)), np.eye(n)])
+        lap = turn * reduce(lambda moved, one: one.spread[-1] @ moved, found, np.eye(n))
         first, last = rates(np.array([start, found[-1].states[-1]]))[0]
         left = turn * found[-1].states[-1] - start
         if np.max(np.abs(left)) < 1e-3:
-            tolerance = _ROUGH
-        if np.max(np.abs(left)) < 1e-10 and tolerance == _ROUGH:
+            rule, tolerance = Rule.of(_DEGREE), _FINE
+        if np.max(np.abs(left)) < _CLOSED and len(found[0].states) > _DEGREE:
             return Cycle(start, duration, turn, tuple(found), lap)
         size = np.linalg.norm(first)
+        if not size > 0:
+            return None  # a rest
         system = np.block([[lap - np.eye(n), turn * last[:, None] / size], [first[None] / size, np.zeros((1, 1))]])
         try:
             move = -np.linalg.solve(system, np.append(left, 0.0))
@@ -260,7 +265,8 @@ def _tilts(rates: Field, cycle: Cycle, slow: Array) -> list[tuple[float, Array]]
             found.append((float(starts[at]), grown[k] * (normal @ vectors[k]) / (normal @ first)))
         before = k
     if found:
-        found.append((float(starts[before + int(np.argmax(lengths[before:]))]), np.zeros(slow.shape[1])))
+        behind = before + int(np.argmax(lengths[before:] > _WIDE * np.max(lengths)))
+        found.append((float(starts[behind]), np.zeros(slow.shape[1])))
     return found
 
 

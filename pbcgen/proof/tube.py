@@ -23,9 +23,9 @@ Lebesgue constant, and ``4 M rho^(1 - K) / (rho - 1)``, where M bounds them on B
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -38,6 +38,9 @@ from pbcgen.symbolic.real import REAL, ZERO, Real, precision
 from pbcgen.symbolic.tape import Tape
 
 Array: TypeAlias = NDArray[np.float64]
+Place: TypeAlias = tuple[int, int]
+#: A tape, and its inputs behind the state, in balls and in complex balls.
+_Prepared: TypeAlias = tuple[Tape, list[list[Any]], list[list[Any]]]
 
 #: Bits of the balls.
 _BITS = 96
@@ -62,6 +65,36 @@ class VectorField:
     slope: Tape
     n: int
     constants: Sequence[Sequence[Real]] = ()
+
+    def at(self, state: Sequence[arb]) -> list[Real]:
+        """F in balls."""
+        tape, values, _ = self._rate
+        return tape.walk(REAL, [state, *values])[0].column(ZERO)
+
+    def slopes(self, state: Sequence[arb]) -> arb_mat:
+        """dF/dx in balls."""
+        tape, values, _ = self._slope
+        return arb_mat(tape.walk(REAL, [state, *values])[0].dense(ZERO))
+
+    def beside(self, state: Sequence[acb]) -> tuple[Mapping[Place, acb], Mapping[Place, acb]]:
+        """F and dF/dx in complex balls, by the places of their entries."""
+        both = [tape.walk(COMPLEX, [state, *values])[0].entries for tape, _, values in (self._rate, self._slope)]
+        return both[0], both[1]
+
+    @cached_property
+    def _rate(self) -> _Prepared:
+        return self._prepared(self.rate)
+
+    @cached_property
+    def _slope(self) -> _Prepared:
+        return self._prepared(self.slope)
+
+    def _prepared(self, tape: Tape) -> _Prepared:
+        """What depends on constants alone is computed once."""
+        with precision(_BITS):
+            left, held = tape.given(REAL, {k: list(part) for k, part in enumerate(self.constants, 1)})
+            empty: list[list[Any]] = [[] for _ in self.constants]
+            return left, [*empty, held], [*empty, [acb(v) for v in held]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +160,7 @@ def _misfits(field: VectorField, piece: Piece, V: Array, sums: tuple[Array, Arra
         centre, frame = arb_mat(piece.centre.tolist()), arb_mat(piece.frame.reshape(degree, -1).tolist())
         at, slopes = _points(degree, _POINTS)
         place, speed = at * centre, slopes * centre * (2 / duration)
-        rows = [_rate(field, [place[k, i] for i in range(n)]) for k in range(_POINTS)]
+        rows = [field.at([place[k, i] for i in range(n)]) for k in range(_POINTS)]
         push = _largest((left * (arb_mat(rows) - speed).transpose()).transpose())
         at, slopes = _points(degree, _SLOPE_POINTS)
         place, wide, turning = at * centre, at * frame, slopes * frame * (2 / duration)
@@ -135,7 +168,7 @@ def _misfits(field: VectorField, piece: Piece, V: Array, sums: tuple[Array, Arra
         for k in range(_SLOPE_POINTS):
             W, bend = (arb_mat(n, n - 1, [m[k, i] for i in range(n * (n - 1))]) for m in (wide, turning))
             reach = [sum((abs(W[i, j]) for j in range(n - 1)), arb(0)) for i in range(n)]
-            A = _slope(field, [place[k, i] + arb(0, reach[i].abs_upper()) for i in range(n)])
+            A = field.slopes([place[k, i] + arb(0, reach[i].abs_upper()) for i in range(n)])
             E = left * (A * W - bend - W * rates)
             found = np.maximum(found, _entries(E))
     points = np.array([_POINTS, *[_SLOPE_POINTS] * (n - 1)])
@@ -165,11 +198,10 @@ def _around(field: VectorField, piece: Piece) -> tuple[Array, Array] | None:
     F, A = np.zeros(n), np.zeros((n, n))
     with precision(_BITS):
         place = [acb(arb(m, r), arb(0, r)) for m, r in zip(piece.centre[0].tolist(), radius.tolist(), strict=True)]
-        inputs = [place, *([acb(v) for v in part] for part in field.constants)]
-        (rate,), (slope,) = field.rate.walk(COMPLEX, inputs), field.slope.walk(COMPLEX, inputs)
-        for (i, _), v in rate.entries.items():
+        rate, slope = field.beside(place)
+        for (i, _), v in rate.items():
             F[i] = _upper(v)
-        for at, v in slope.entries.items():
+        for at, v in slope.items():
             A[at] = _upper(v)
     return (F, A) if np.all(np.isfinite(F)) and np.all(np.isfinite(A)) else None
 
@@ -178,14 +210,6 @@ def _on_axis(count: int) -> Array:
     """Bounds of Chebyshev's polynomials on the ellipse of the interval with its overlap."""
     powers = (_ELLIPSE * (1 + _OVERLAP) ** 2) ** np.arange(count)
     return np.asarray((powers + 1 / powers) / 2 * _UP)
-
-
-def _rate(field: VectorField, place: list[Any]) -> list[Any]:
-    return field.rate.walk(REAL, [place, *field.constants])[0].column(ZERO)
-
-
-def _slope(field: VectorField, place: list[Any]) -> arb_mat:
-    return arb_mat(field.slope.walk(REAL, [place, *field.constants])[0].dense(ZERO))
 
 
 def _upper(value: Any) -> float:

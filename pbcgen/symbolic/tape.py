@@ -268,6 +268,44 @@ class Tape:
                 values[position] = None
         return [Matrix(m.shape, {at: values[v] for at, v in m.entries.items()}) for m in self.outputs]
 
+    def given(self, algebra: Algebra[T], known: Mapping[int, Sequence[T]]) -> tuple[Tape, list[T]]:
+        """The tape with what depends on some inputs alone as one input more, in place of them, and its values.
+
+        Args:
+            algebra: in which these values are computed.
+            known: the values of inputs by their numbers; they are empty in the tape.
+        """
+        fixed: list[bool] = []
+        for instruction in self.instructions:
+            match instruction:
+                case Constant():
+                    fixed.append(True)
+                case Input(argument, _):
+                    fixed.append(argument in known)
+                case Operation(_, operands):
+                    fixed.append(all(fixed[o] for o in operands))
+        used = {
+            o for k, i in enumerate(self.instructions) if isinstance(i, Operation) and not fixed[k] for o in i.operands
+        }
+        used |= {v for matrix in self.outputs for v in matrix.entries.values()}
+        kept = [k for k in range(len(fixed)) if not fixed[k] or k in used]
+        place, held = {k: new for new, k in enumerate(kept)}, [k for k in kept if fixed[k]]
+        instructions: list[Instruction] = []
+        for k in kept:
+            instruction = self.instructions[k]
+            if fixed[k]:
+                instructions.append(Input(len(self.input_sizes), held.index(k)))
+            elif isinstance(instruction, Operation):
+                instructions.append(Operation(instruction.name, tuple(place[o] for o in instruction.operands)))
+            else:
+                instructions.append(instruction)
+        inputs = [[*known.get(k, [algebra.const(Fraction(0))] * size)] for k, size in enumerate(self.input_sizes)]
+        column = Matrix((len(held), 1), {(row, 0): k for row, k in enumerate(held)})
+        values = [*Tape(self.instructions, self.input_sizes, (column,)).walk(algebra, inputs)[0].entries.values()]
+        sizes = (*(0 if k in known else size for k, size in enumerate(self.input_sizes)), len(held))
+        outputs = tuple(Matrix(m.shape, {at: place[v] for at, v in m.entries.items()}) for m in self.outputs)
+        return Tape(tuple(instructions), sizes, outputs), values
+
     @cached_property
     def _program(self) -> tuple[tuple[str, Any, Any, tuple[int, ...]], ...]:
         """The instructions as :meth:`walk` reads them: what to do, with what, and the values that are spent then."""

@@ -6,11 +6,13 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 import pytest
+from flint import fmpq
 from graphs import BINARY, UNARY, graphs
 from hypothesis import given, settings
 
 from pbcgen.errors import ModelError, UnsupportedOperation
 from pbcgen.law.numpy_algebra import NumpyAlgebra
+from pbcgen.symbolic.real import REAL, ball
 from pbcgen.symbolic.tape import OPERATIONS, Constant, Tape, exact_decimal
 
 _ALGEBRA = NumpyAlgebra("double")
@@ -145,3 +147,16 @@ def test_a_deep_graph_stays_linear():
     for _ in range(60):
         expression = ca.sin(expression) * expression
     assert len(Tape.of([x], [expression]).instructions) < 200
+
+
+def test_what_depends_on_known_inputs_alone_is_computed_once():
+    x, p, q = ca.SX.sym("x", 2), ca.SX.sym("p", 2), ca.SX.sym("q")
+    tape = Tape.of([x, p, q], [ca.vertcat(x[0] * ca.exp(p[0] * p[1]) + q, p[1] + 2), x[1] / q])
+    values = [[fmpq(3), fmpq(5)], [fmpq(1, 2), fmpq(4)], [fmpq(7)]]
+    left, held = tape.given(REAL, {1: values[1], 2: values[2]})
+    assert left.input_sizes[1:3] == (0, 0)
+    assert len(left.instructions) < len(tape.instructions)
+    both = tape.walk(REAL, values), left.walk(REAL, [values[0], [], [], held])
+    for before, after in zip(*both, strict=True):
+        assert before.shape == after.shape
+        assert all(abs(ball(before.entries[at]) - ball(after.entries[at])) < 1e-12 for at in before.entries)
