@@ -19,6 +19,7 @@ from pbcgen.certify.writing import Writing
 from pbcgen.proof.tree import cover
 from pbcgen.reading.overall import Rests
 from pbcgen.symbolic.linear import CONSTANT, Inconsistent, Row, particular_solution, reduce_rows
+from pbcgen.symbolic.plain.boxes import Box
 from pbcgen.symbolic.plain.elimination import Elimination, put_in, slopes
 from pbcgen.symbolic.plain.matrices import is_definite, symmetric
 from pbcgen.symbolic.plain.outcomes import Fails, NotCheckable
@@ -32,6 +33,8 @@ _MOST_SEARCHED, _MOST_BOXES = 3, 1500
 _ROUNDS = 3
 #: Larger boxes are not looked at.
 _FARTHEST = 10**9
+#: The share of its width by which a part of a box is taken wider than the checker takes it.
+_MARGIN = fmpq(1, 8)
 
 Witness = dict[str, Any] | None
 #: For each equation the states and inputs that it is multiplied with.
@@ -232,6 +235,10 @@ def _circuit(search: _Search) -> Witness:
     return search.witness(system.along(chain), steps, multipliers, block)
 
 
+def _wider(part: Box) -> Box:
+    return [(lo - (hi - lo) * _MARGIN, hi + (hi - lo) * _MARGIN) for lo, hi in part]
+
+
 def _boxed(search: _Search) -> Witness:
     """A box that holds all rests, with a tree."""
     system = search.system
@@ -251,7 +258,9 @@ def _boxed(search: _Search) -> Witness:
     if len(zero) + system.m != len(rests[0]) or not ends.keys() >= {*rests[0]}:
         return None
     box = [(-ends[k], ends[k]) for k in rests[0]]
-    tree = cover(box, system.no_other(rests, zero), ".;", _MOST_BOXES)
+    holds = system.no_other(rests, zero)
+    # The checker may multiply in another order, which bounds differently: a leaf must hold on more than its part.
+    tree = cover(box, lambda kind, part: holds(kind, _wider(part)), ".;", _MOST_BOXES)
     return None if tree is None else {"steps": steps, "box": {"ends": found, "zero": zero, "tree": tree}}
 
 

@@ -7,7 +7,7 @@ import pytest
 from certificates import outcomes, signed
 from documents import GLOBAL, LOCAL, document_of, status, with_witness, witness, written_for
 
-from pbcgen import AffineSystem, Design, DynamicExtension
+from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical
 
 pytestmark = pytest.mark.system
 
@@ -163,3 +163,15 @@ def test_places_and_states_are_counted_from_the_first():
                 factor[1], changed = -1, changed + 1
     outcome = _outcome(with_witness(document, "assumption-1", squares=squares), "assumption-1")
     assert outcome == "fails" or not changed
+
+
+def test_leaves_hold_in_whatever_order_the_checker_multiplies():
+    """Three masses: sines of 6 v0 + v0^3 + 2 v6 are products of many factors, which are bounded one after the other."""
+    q, p = ([ca.SX.sym(f"{letter}{k}") for k in range(3)] for letter in "qp")
+    V = q[0] ** 2 + q[1] ** 2 / 4 + q[2] ** 2 + (q[0] - q[1]) ** 2 / 2 + (q[1] - q[2]) ** 2 / 4
+    V = V + q[0] ** 4 / 8 - ca.cos(2 * q[1])
+    system = Mechanical(q, p, M=[0.5, 0.5, 2], V=V, D=[0, 0.5 + p[1] ** 2, 0], G=[1, 0, 0])
+    law = DynamicExtension(alpha="5.38", beta="2.609", K_c="3.084", R_c="13.292")
+    document = written_for(Design(system, {"q0": -1}, law, sample_period="1e-3", name="masses"))
+    assert status(document, GLOBAL) == "PROVED"
+    assert outcomes(document)[GLOBAL] == "checked"
