@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import TypeAlias
 
 import casadi as ca
@@ -34,8 +34,8 @@ from pbcgen.symbolic.tape import Tape
 
 #: The method of the claim that this refutes.
 METHOD = "a tube around a periodic motion that no trajectory leaves, in ball arithmetic"
-#: Larger loops are not tried.
-_MOST = 14
+#: Larger loops are not tried, nor more motions of one loop.
+_MOST, _GUESSES = 14, 2
 #: The largest argument of a saturation, in powers of ten, and how finely amplitudes are looked at.
 _FIRST, _LAST, _PER_DECADE = 0, 8, 4
 #: Improvements of the slopes at one amplitude, and of an amplitude.
@@ -55,7 +55,7 @@ def limit_cycle(situation: Situation) -> Claim | str:
     evidence = ""
     try:
         loop = WholeLoop.of(situation)
-        for guess in () if loop is None else _balanced(loop):
+        for guess in () if loop is None else islice(_balanced(loop), _GUESSES):
             evidence = evidence or (
                 f"harmonic balance suggests a periodic motion of period {2 * np.pi / guess.omega:.3g} s, which was not "
                 "proved"

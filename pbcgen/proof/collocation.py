@@ -21,7 +21,7 @@ Field: TypeAlias = Callable[[Array], tuple[Array, Array]]
 
 _NEWTON_STEPS = 10
 #: Steps that are tried along one trajectory, and the largest ratio of consecutive ones.
-_MOST_STEPS, _FASTER = 1000, 2.5
+_MOST_STEPS, _FASTER = 300, 2.5
 #: The share of the whole that is tried first.
 _FIRST = 0.02
 #: Steps of a smaller share are not taken.

@@ -55,6 +55,8 @@ _ROOM = 1 + 1e-6
 _DOUBLINGS = 9
 #: Rounds of a bound's improvement, and factors by which bounds may grow in a piece.
 _ROUNDS, _FACTORS = 40, (1.3, 2.7)
+#: States on a piece for people.
+_SAMPLES = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -410,5 +412,5 @@ def hull(piece: Piece) -> tuple[Array, Array]:
 
 def along(piece: Piece) -> Array:
     """States on the centre of a piece in doubles, the start first."""
-    times, degree = np.linspace(-1.0, 1.0, 2 * len(piece.centre)), len(piece.centre) - 1
+    times, degree = np.linspace(-1.0, 1.0, _SAMPLES), len(piece.centre) - 1
     return np.asarray(chebyshev.chebvander(times, degree) @ piece.centre)
