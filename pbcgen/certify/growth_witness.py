@@ -130,6 +130,11 @@ def decimal(value: Any, side: int) -> str:
     return str(fmpq(round(near * 2**_BITS) + side * (1 + round(abs(near))), 2**_BITS))
 
 
+def inertia(system: Stability, terms: Writing, kinetic: Sequence[Part] = ()) -> list[list[int]]:
+    """The kinetic energy as squares, which show M(q) > 0; nothing where they are not found."""
+    return _written([*kinetic] or _kinetic(system, system.column("S")[0]), terms)
+
+
 def _flat(system: Stability, parts: Sequence[Part], gamma: Sequence[Function]) -> bool:
     """Whether the parts vanish at x* together with their slopes by what gamma reads."""
     read = set[int]().union(*(g.used for g in gamma))

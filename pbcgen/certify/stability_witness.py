@@ -15,7 +15,7 @@ from pbcgen.certify import velocity_witness
 from pbcgen.certify.alone_witness import Circuit, alone
 from pbcgen.certify.attraction_witness import combined, read, steps_to_rest
 from pbcgen.certify.dissipation_witness import sampled_damping
-from pbcgen.certify.growth_witness import convex_growth, growth
+from pbcgen.certify.growth_witness import convex_growth, growth, inertia
 from pbcgen.certify.inside_witness import is_closed, kept, on_domain, rising
 from pbcgen.certify.limits_witness import what_is_left
 from pbcgen.certify.no_rest_witness import nowhere
@@ -94,6 +94,8 @@ class _Work:
     def _squares(self, claim: Claim) -> Witness:
         """In (q, v); the claims that follow make use of it."""
         found = squares(self.derivation, self.system, claim, self.terms)
+        if found is not None and claim.claim == "assumption-1" and claim.holds_everywhere:
+            found["inertia"] = inertia(self.system, self.terms, self._factors())
         if found is not None:
             self.system.witness = {**self.system.witness, claim.claim: found}
             self.system.__dict__["placed"] = read(self.system, self.terms)

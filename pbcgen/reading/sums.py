@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 from flint import fmpq
@@ -90,8 +91,30 @@ class Sums(System):
         rest = self.without_squares(matrix, claim, (self.witness[claim] if part is None else part)["squares"])
         self.zero([v for row in rest for v in row], "the squares do not add up to what they stand for")
         wanted = {"assumption-1": "[fS]$", "passive-output": "([fgS]|gamma)$"}.get(claim, "([fgS]|gamma|eta)$")
-        defined = self.domain[claim] != "all x" or self.defined or self.is_defined(wanted)
-        require(defined, "the model may have poles", NotCheckable)
+        if self.domain[claim] == "all x":
+            require(self.defined or self.is_defined(wanted), "the model may have poles", NotCheckable)
+            require(not self.inertia or self.has_inertia, "M may be singular", NotCheckable)
+
+    @cached_property
+    def has_inertia(self) -> bool:
+        """Whether M(q) > 0 for all q: ``p^T v / 2 = sum s t^2`` with s > 0, and where every t is zero so is v.
+
+        The t are linear in v. One coordinate after the other is zero because, of those t in which no other is left,
+        the coefficients vanish nowhere together.
+        """
+        parts = [[self.placed[place] for place in both] for both in self.witness["assumption-1"]["inertia"]]
+        momenta, velocities = self.momenta, range(self.half, self.n)
+        energy = dot([plain(p) for p in momenta], [self.field.symbols[k] for k in velocities]) / 2
+        self.zero([energy - sum((s * t * t for s, t in parts), self.field.lift(0))], "this is not the kinetic energy")
+        rows = [[slopes(self.field, t)[k] for k in velocities] for _, t in parts]
+        steady = [*(v for row in rows for v in row), *(s for s, _ in parts)]
+        known = not any(self.field.has_poles(v) or v.used & {*velocities} for v in steady)
+        known, left = known and all(self.field.positive(s) for s, _ in parts), {*range(self.half)}
+        while known and left:
+            alone = {k: [row[k] for row in rows if not any(row[j].top for j in left - {k})] for k in left}
+            zero = {k for k, column in alone.items() if self.field.positive(self.field.lift(dot(column, column)))}
+            known, left = bool(zero), left - zero
+        return known
 
     def _factor(self, claim: str, kind: str, a: int, b: Any, alone: bool) -> Any:
         """A function without negative values.

@@ -9,6 +9,7 @@ import pytest
 from certificates import outcomes, signed
 from designs import DESIGNS, planar_arm
 
+from pbcgen import Design, DynamicExtension, Mechanical
 from pbcgen.certify.certificate import certificate
 from pbcgen.certify.writing import Writing
 from pbcgen.control.derive import derive
@@ -20,6 +21,8 @@ from pbcgen.symbolic.plain.formulas import Formulas
 from pbcgen.symbolic.tape import Tape
 
 pytestmark = pytest.mark.system
+
+A = ca.SX.sym("a")
 
 #: What rests on M^-1 p.
 RESTS = {"assumption-1", "passive-output"}
@@ -60,6 +63,39 @@ def test_a_broken_arm_is_not_believed(document, defect):
         entry["witness"] = good[entry["claim"]]
     for forged in (signed(document | {"model": text}), signed(own), signed(lent)):
         assert {claim for claim in wrong if outcomes(forged).get(claim) == "checked"} == set()
+
+
+def test_the_inertia_must_be_shown_to_be_definite_for_what_is_said_of_all_states():
+    """M(q) > 0 by the squares of the kinetic energy, all of them and with positive weights."""
+    document = json.loads(json.dumps(certificate(derive(planar_arm(3)))))
+    witness = next(e for e in document["claims"] if e["claim"] == "assumption-1")
+    assert witness["domain"] == "all x"
+    parts = witness["witness"]["inertia"]
+    assert {outcomes(document)[claim] for claim in RESTS} == {"checked"}
+    for changed in ([], parts[1:], [*parts, parts[0]], [[t, s] for s, t in parts]):
+        witness["witness"]["inertia"] = changed
+        assert not {outcomes(signed(document))[claim] for claim in RESTS} & {"checked"}
+    del witness["witness"]["inertia"]
+    assert {outcomes(signed(document))[claim] for claim in RESTS} == {"recorded"}
+
+
+@pytest.mark.parametrize(
+    "M", [[[4, 3 * ca.cos(A)], [3 * ca.cos(A), 1]], [[4, 2 * ca.cos(A)], [2 * ca.cos(A), 1]], [[1, A], [A, 2 * A**2]]]
+)
+def test_an_inertia_that_is_singular_somewhere_is_restricted(M):
+    x, p, b = (ca.SX.sym(name) for name in "xpb")
+    rows = ca.vertcat(*[ca.horzcat(*row) for row in M])
+    system = Mechanical([x, A], [p, b], M=rows, V=5 * A**2, D=[1, 0], G=[1, 0])
+    law = DynamicExtension(2, 1, 1, 1)
+    document = json.loads(
+        json.dumps(certificate(derive(Design(system, {"x": 0}, law, sample_period="1e-2", near={"a": 0}))))
+    )
+    stated = [e for e in document["claims"] if e["claim"] in RESTS]
+    assert {(e["status"], e["domain"]) for e in stated} == {("PROVED", "all x where the model is defined")}
+    assert {outcomes(document)[claim] for claim in RESTS} == {"checked"}
+    for e in stated:
+        e["domain"] = "all x"
+    assert "checked" not in {outcomes(signed(document))[claim] for claim in RESTS}
 
 
 def test_other_places_of_the_inertia_are_not_believed(document):
