@@ -103,13 +103,13 @@ class Sums(System):
         the coefficients vanish nowhere together.
         """
         parts = [[self.placed[place] for place in both] for both in self.witness["assumption-1"]["inertia"]]
-        momenta, velocities = self.momenta, range(self.half, self.n)
-        energy = dot([plain(p) for p in momenta], [self.field.symbols[k] for k in velocities]) / 2
+        require(all(self.field.positive(s) for s, _ in parts), "a weight is not positive")
+        velocities = {*range(self.half, self.n)}
+        energy = dot([*map(plain, self.momenta)], self.field.symbols[self.half : self.n]) / 2
         self.zero([energy - sum((s * t * t for s, t in parts), self.field.lift(0))], "this is not the kinetic energy")
-        rows = [[slopes(self.field, t)[k] for k in velocities] for _, t in parts]
-        steady = [*(v for row in rows for v in row), *(s for s, _ in parts)]
-        known = not any(self.field.has_poles(v) or v.used & {*velocities} for v in steady)
-        known, left = known and all(self.field.positive(s) for s, _ in parts), {*range(self.half)}
+        rows, left = [slopes(self.field, t)[self.half : self.n] for _, t in parts], {*range(self.half)}
+        steady = (v for (s, _), row in zip(parts, rows, strict=True) for v in (s, *row))
+        known = not any(self.field.has_poles(v) or v.used & velocities for v in steady)
         while known and left:
             alone = {k: [row[k] for row in rows if not any(row[j].top for j in left - {k})] for k in left}
             zero = {k for k, column in alone.items() if self.field.positive(self.field.lift(dot(column, column)))}

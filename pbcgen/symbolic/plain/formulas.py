@@ -56,9 +56,8 @@ class Formulas:
                 negative = instruction[0] != "constant" and any(o.startswith("-") for o in instruction[1:])
                 ordered = not negative and int(number) == len(formulas.instructions)
                 require(ordered, "the instructions are not numbered in order", Malformed)
-                asked = instruction[1 : 1 + _ASKING.get(instruction[0], 0)]
-                truths = {formulas.instructions[int(o)][0] for o in asked} <= _TRUTHS
-                require(truths, "a condition is neither true nor false", Malformed)
+                asked = {formulas.instructions[int(o)][0] for o in instruction[1 : 1 + _ASKING.get(instruction[0], 0)]}
+                require(asked <= _TRUTHS, "a condition is neither true nor false", Malformed)
                 formulas.instructions.append(instruction)
             elif match := re.fullmatch(r"(.+) (\d+)x(\d+)((?: \d+,\d+:\d+)*)", line):
                 places = re.findall(r"(\d+),(\d+):(\d+)", match[4])

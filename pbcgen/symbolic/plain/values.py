@@ -157,6 +157,8 @@ def _known(name: str, a: Any) -> fmpq | None:
         return fmpq(AT_ZERO[name])
     if name == "log" and a == 1:
         return fmpq(0)
+    if name in _JUMPING and a is not None:
+        return fmpq(a.floor() if name == "floor" else sign(a))
     if name == "sqrt" and isinstance(a, fmpq) and a > 0:
         root = fmpq(fmpz(a.p).isqrt(), fmpz(a.q).isqrt())
         return root if root * root == a else None
@@ -357,12 +359,7 @@ class Field:
             return self._angle(a)[name == "cos"]
         if name == "exp":
             return prod((power(self.atom("exp", u), fmpq(k)) for u, k in self._multiples(a, False)), start=self.lift(1))
-        number = a.number()
-        if name in _JUMPING and number is not None:
-            return self.lift(
-                number.floor() if name == "floor" else int(number > 0) - (name == "sign") * int(number < 0)
-            )
-        if (known := _known(name, number)) is not None:
+        if (known := _known(name, a.number())) is not None:
             return self.lift(known)
         if name == "log" and len(a.top) == 1 and a.top.leading_coefficient() == a.bottom == 1:
             degrees = zip(self.generators, map(int, a.top.degrees()), strict=True)
