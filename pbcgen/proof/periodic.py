@@ -20,7 +20,7 @@ _ROUGH, _FINE = 1e-6, 1e-11
 #: What the ends of a lap may be apart.
 _CLOSED = 5e-13
 _ROUGH_DEGREE, _DEGREE = 6, 12
-_STEPS = 12
+_STEPS = 16
 #: Sizes of tubes along directions that decay slowly, and along others: where F bends within a short time, and else.
 _BENT, _SMOOTH = ((6e-8, 4e-10), (1e-7, 3e-10)), ((1e-6, 1e-7), (6e-8, 4e-10))
 #: Multipliers over a period that count as slow.
@@ -71,7 +71,7 @@ def shoot(rates: Field, start: Array, duration: float, turn: int) -> Cycle | Non
         duration: about its period, or half of it where ``turn`` is -1.
         turn: -1 for fields with ``F(-x) = -F(x)`` and a trajectory that is its own image.
     """
-    n, rule, tolerance = len(start), Rule.of(_ROUGH_DEGREE), _ROUGH
+    n, rule, tolerance, settled = len(start), Rule.of(_ROUGH_DEGREE), _ROUGH, False
     for _ in range(_STEPS):
         found = list(arcs(rates, rule, start, duration, tolerance))
         if not found or abs(sum(one.duration for one in found) / duration - 1) > 1e-9:
@@ -82,7 +82,11 @@ def shoot(rates: Field, start: Array, duration: float, turn: int) -> Cycle | Non
         if np.max(np.abs(left)) < 1e-3:
             rule, tolerance = Rule.of(_DEGREE), _FINE
         if np.max(np.abs(left)) < _CLOSED and len(found[0].states) > _DEGREE:
-            return Cycle(start, duration, turn, tuple(found), lap)
+            if settled:
+                return Cycle(start, duration, turn, tuple(found), lap)
+            # Laps begin where the motion is smooth: what a bend throws up then decays before they end.
+            settled, start = True, max(found, key=lambda one: one.duration).states[0]
+            continue
         size = np.linalg.norm(first)
         if not size > 0:
             return None  # a rest
