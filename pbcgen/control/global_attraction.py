@@ -48,13 +48,13 @@ def globally(situation: Situation, by_lyapunov: bool, asymptotic: Claim, stored:
     rate = growth_rate(situation)
     if rate is not None:
         return _escaping(rate)
+    cycle = limit_cycle(situation)
+    if isinstance(cycle, Claim):
+        return replace(cycle, hint=f"the claim can only be local; {proved_or_open.hint}")
     loop = sectors(situation)
     why = None if loop is None else absolutely_stable(situation, loop)
     if why is not None:
         return _verdict(Status.PROVED, METHOD, why)
-    cycle = limit_cycle(situation)
-    if isinstance(cycle, Claim):
-        return replace(cycle, hint=f"the claim can only be local; {proved_or_open.hint}")
     doubt = cycle or ("" if loop is None else far_oscillation(loop))
     hint = f"simulate from far away; {proved_or_open.hint}" if doubt else proved_or_open.hint
     return replace(proved_or_open, evidence="; ".join(filter(None, [proved_or_open.evidence, doubt])), hint=hint)

@@ -10,14 +10,10 @@ from typing import Any, Self
 from flint import fmpq
 
 from pbcgen.reading.overall import GLOBAL, Overall
-from pbcgen.reading.sums import Ends
 from pbcgen.symbolic.plain.elimination import put_in
 from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.symbolic.plain.outcomes import NotCheckable, require
 from pbcgen.symbolic.plain.values import apply, sign
-
-#: Ends that belong to a domain are moved outwards by so much of their size, for signs on what is between them.
-_BEYOND = fmpq(1, 10**9)
 
 
 class Inside(Overall):
@@ -50,10 +46,7 @@ class Inside(Overall):
     def on_domain(self, closed: bool) -> Self:
         """The same design where signs are asked for on D only."""
         other = self._again(self.document)
-        wide = _BEYOND if closed else fmpq(0)
-        for k, ends in self.bounded.items():
-            lo, hi = (None if v is None else v + (1 + abs(v)) * s * wide for v, s in zip(ends, (-1, 1), strict=True))
-            other.field.ends[k] = lo, hi
+        other.field.ends = self.widened if closed else self.bounded
         return other
 
     def logarithmic(self, terms: Sequence[str]) -> Self:
@@ -67,11 +60,6 @@ class Inside(Overall):
         z.opened, z.model = self.bounded, replace(self.model, domain={})
         z.point = [_logarithm(v, *self.bounded.get(k, ())) for k, v in enumerate(self.point[0])], self.point[1]
         return z
-
-    @property
-    def bounded(self) -> dict[int, Ends]:
-        """The states with ends."""
-        return {k: (lo, hi) for k, (lo, hi) in enumerate(self.ends[: self.n]) if not lo is hi is None}
 
     def _again(self, document: Mapping[str, Any]) -> Self:
         return type(self)(document, self.field.pool, self.field.units)

@@ -19,6 +19,11 @@ from pbcgen.symbolic.plain.values import AT_ZERO, INCREASING, Dual, never_negati
 
 Ends = tuple[fmpq | None, fmpq | None]
 
+WHERE_DEFINED = " where the model is defined"
+#: Claims that say of a box that the model is defined there; global ones show it otherwise.
+_BOXES = {"assumption-1", "passive-output", "assumption-3", "theta"}
+#: Ends that belong to a domain are moved outwards by so much of their size, for signs on what is between them.
+_BEYOND = fmpq(1, 10**9)
 _AMPLITUDES = ("alpha", "alpha_c", "alpha_l", "alpha_psi", "k_p")
 
 
@@ -91,8 +96,10 @@ class Sums(System):
         rest = self.without_squares(matrix, claim, (self.witness[claim] if part is None else part)["squares"])
         self.zero([v for row in rest for v in row], "the squares do not add up to what they stand for")
         wanted = {"assumption-1": "[fS]$", "passive-output": "([fgS]|gamma)$"}.get(claim, "([fgS]|gamma|eta)$")
+        if claim in _BOXES and self.on_box(claim) and not self.domain[claim].endswith(WHERE_DEFINED):
+            require(self.is_defined(wanted, self.widened), "the model may have poles on the domain", NotCheckable)
         if self.domain[claim] == "all x":
-            require(self.defined or self.is_defined(wanted), "the model may have poles", NotCheckable)
+            require(self.defined or self.is_defined(wanted, {}), "the model may have poles", NotCheckable)
             require(not self.inertia or self.has_inertia, "M may be singular", NotCheckable)
 
     @cached_property
@@ -193,9 +200,23 @@ class Sums(System):
         """The ends of each state on the domain, and those of the inputs where they are known."""
         return [(*self.model.domain.get(name, (None, None)),) for name in self.states] + self.reach
 
+    @property
+    def bounded(self) -> dict[int, Ends]:
+        """The states with ends."""
+        return {k: (lo, hi) for k, (lo, hi) in enumerate(self.ends[: self.n]) if not lo is hi is None}
+
+    @property
+    def widened(self) -> dict[int, Ends]:
+        """The same, a little further out."""
+
+        def beyond(v: fmpq | None, side: int) -> fmpq | None:
+            return None if v is None else v + (1 + abs(v)) * side * _BEYOND
+
+        return {k: (beyond(lo, -1), beyond(hi, 1)) for k, (lo, hi) in self.bounded.items()}
+
     def on_box(self, claim: str) -> bool:
         """Whether the claim is stated on the domain of the model, with its ends or without."""
-        text = self.domain[claim].removesuffix(" where the model is defined")
+        text = self.domain[claim].removesuffix(WHERE_DEFINED)
         part = r"(\S+) (?:in [\[(]([^,]+), ([^\])]+)[\])]|([<>])=? ([^,\s]+))(?:, |$)"
         box = {
             name: [rational(lo), rational(hi)] if lo else [rational(end) if side == s else None for s in "><"]

@@ -118,10 +118,10 @@ class System:
         self.field.closed, self.defined = True, self.field.entire(moduli=True)
         return found
 
-    def is_defined(self, wanted: str) -> bool:
-        """Whether these matrices are certainly defined and smooth at every state, apart from moduli; in a new field."""
+    def is_defined(self, wanted: str, ends: Mapping[int, Any]) -> bool:
+        """Whether matrices are certainly defined and smooth, apart from moduli, between the ends; in a new field."""
         field = Field(len(self.field.symbols), self.field.pool, self.field.units)
-        field.whole = self.field.whole
+        field.whole, field.ends = self.field.whole, {**ends}
         self.moving(variables(field.symbols[: self.n]), lambda v: Dual(field.lift(v), {}), wanted)
         return field.entire(moduli=True)
 
@@ -424,10 +424,13 @@ class System:
             return [], [], V
         h, one = self.period, diagonal([fmpq(1)] * len(k))
         own = inverse(plus(one, plus(L, product(G, k, H)), h))
-        held = product(k, H, inverse(plus(one, L, h)))
-        c = blocks([[plus(product(k, Y), product(held, Z), -h), held]])
-        w = product(inverse(plus(one, product(held, G), h)), c)
         x = product(own, plus(Z, product(G, k, Y)), diagonal([-h] * self.n))
+        try:
+            held = product(k, H, inverse(plus(one, L, h)))
+            c = blocks([[plus(product(k, Y), product(held, Z), -h), held]])
+            w = product(inverse(plus(one, product(held, G), h)), c)
+        except ZeroDivisionError:  # a filter that takes no step by itself
+            w = product(k, blocks([[plus(Y, product(H, x)), product(H, own)]]))
         return x, own, plus(blocks([[V, diagonal([fmpq(0)] * self.m, len(k))]]), product(self._added, w), -1)
 
     def transition(self, time: Any) -> Matrix:

@@ -4,9 +4,11 @@ import casadi as ca
 import pytest
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Integral, Mechanical, PassiveOutput
+from pbcgen.certify.certificate import certificate
 from pbcgen.control.derive import derive
 from pbcgen.pipeline import check
 from pbcgen.proof.claim import Status
+from pbcgen.verify.claims import examine
 
 PROVED, REFUTED, UNDECIDED = Status.PROVED, Status.REFUTED, Status.UNDECIDED
 
@@ -164,3 +166,4 @@ def test_filters_that_are_singular_or_cannot_take_a_step_are_refused_in_words(K_
     report = check(Design(plant, {"x": 1, "y": 0}, law, sample_period="1e-2", name="trial"))
     assert {c.claim: c.status for c in report.claims}["gain-definiteness"] is Status.REFUTED
     assert ("must be positive definite" in report.unwritable) == (R_c == 100)
+    assert "fails" not in {f.outcome for f in examine(certificate(report.derivation))}

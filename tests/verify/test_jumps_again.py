@@ -139,3 +139,27 @@ def _is_restricted(design):
     for e in stated:
         e["domain"] = "all x"
     assert "checked" not in {outcomes(signed(document))[e["claim"]] for e in stated}
+
+
+def _in_a_box(friction, box):
+    system = AffineSystem([q, p], [u], [p, -q - friction * p], [0, 1], (q**2 + p**2) / 2, domain={"q": box})
+    return _document(Design(system, {"q": 0}, LAW, sample_period="1e-2", near={"q": 0}, name="box"))
+
+
+@pytest.mark.parametrize(
+    ("friction", "box", "outcome"),
+    [
+        (1 / (q - 3) ** 2, (-1, 4), "recorded"),  # a pole inside
+        (1 / (q - 3) ** 2, (-1, 3), "recorded"),  # at the end
+        (1 / (q - 3) ** 2, (-1, "2.9"), "checked"),
+        (1 / (q + 3), (-1, 5), "checked"),
+        (1 / (q + 3), (-3, 5), "recorded"),
+    ],
+)
+def test_a_domain_is_not_said_to_be_free_of_poles_that_it_has(friction, box, outcome):
+    (lo, hi), document = box, _in_a_box(friction, box)
+    for e in document["claims"]:
+        if e["claim"] in ("assumption-1", "passive-output"):
+            e["domain"] = f"q in [{lo}, {hi}]"
+    found = outcomes(signed(document))
+    assert {found[name] for name in ("assumption-1", "passive-output")} == {outcome}
