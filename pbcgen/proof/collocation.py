@@ -63,7 +63,7 @@ class Arc:
         rule: its points.
         duration: in seconds.
         states: (d + 1, n) at the points, the start first.
-        linear: factors of the linear equations of the points.
+        linear: factors of the linear equations of the points, and the order of their rows.
     """
 
     rule: Rule
@@ -79,17 +79,17 @@ class Arc:
     @cached_property
     def spread(self) -> Array:
         """The derivatives of the states at the points by the start, (d + 1, n, n)."""
-        from scipy.linalg import lu_solve
+        from scipy.linalg.lapack import dgetrs
 
         n = self.states.shape[1]
         pull = -self.rule.slope[1:, :1] * (2 / self.duration)
-        moved = lu_solve(self.linear, np.kron(pull, np.eye(n)), check_finite=False)
+        moved, _ = dgetrs(*self.linear, np.kron(pull, np.eye(n)))
         return np.concatenate([np.eye(n)[None], moved.reshape(-1, n, n)])
 
 
 def arc(field: Field, rule: Rule, start: Array, duration: float, guess: Array | None = None) -> Arc | None:
     """The trajectory from a start over some time, if Newton's method finds it; ``guess`` is (d + 1, n)."""
-    from scipy.linalg import lu_factor, lu_solve
+    from scipy.linalg.lapack import dgetrf, dgetrs  # without the checks around them, which take longer
 
     n, d = len(start), len(rule.points) - 1
     inner, pull = rule.slope[1:, 1:] * (2 / duration), rule.slope[1:, :1] * (2 / duration)
@@ -101,9 +101,11 @@ def arc(field: Field, rule: Rule, start: Array, duration: float, guess: Array | 
         matrix = fixed.copy()
         for k in range(d):
             matrix[k * n : k * n + n, k * n : k * n + n] -= slopes[k]
-        linear = lu_factor(matrix, overwrite_a=True, check_finite=False)
+        *linear, singular = dgetrf(matrix)
+        if singular:
+            return None
         left = inner @ states + pull * start - rates
-        move = lu_solve(linear, left.ravel(), check_finite=False).reshape(d, n)
+        move = dgetrs(*linear, left.ravel())[0].reshape(d, n)
         states, size = states - move, float(np.max(np.abs(move)))
         if not np.isfinite(size):
             return None

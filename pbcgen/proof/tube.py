@@ -45,7 +45,7 @@ _Prepared: TypeAlias = tuple[Tape, list[list[Any]], list[list[Any]]]
 #: Bits of the balls.
 _BITS = 96
 #: Chebyshev's points at which F and dF/dx are evaluated, and the parameter of the ellipse.
-_POINTS, _SLOPE_POINTS, _ELLIPSE = 30, 14, 4.0
+_POINTS, _SLOPE_POINTS, _ELLIPSE = 24, 13, 4.0
 #: By how much of its half-length a piece is longer at both ends than what is passed through.
 _OVERLAP = 4e-3
 #: More than what rounding does to sums of so few products of doubles without signs, and to what is rounded up.

@@ -64,10 +64,11 @@ def zero_order_hold(A: Matrix, B: Matrix, h: Any) -> tuple[Matrix, Matrix]:
     n, time = len(A), plain(h)
     X = [[*a, *b] for a, b in zip(A, B, strict=True)] + [[fmpq(0)] * (n + len(B[0]))] * len(B[0])
     middle = arb(time).mid() if isinstance(time, arb) else time
-    found, mean = (_exponential(X, part) for part in (middle, time - middle))
-    held, rate = (plus(a, product(X, a, mean), time - middle) for a in (found, product(X, found)))
-    if isinstance(h, Dual):
-        held = plus(held, rate, Dual(fmpq(0), h.slope))
+    held = _exponential(X, middle)
+    if isinstance(h, arb | Dual):
+        mean, rate = _exponential(X, time - middle), product(X, held)
+        held, rate = (plus(part, product(X, part, mean), time - middle) for part in (held, rate))
+        held = plus(held, rate, Dual(fmpq(0), h.slope)) if isinstance(h, Dual) else held
     return [row[:n] for row in held[:n]], [row[n:] for row in held[:n]]
 
 
