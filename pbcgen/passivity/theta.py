@@ -83,7 +83,7 @@ def theta(
         return ThetaVerdict(claim, bound, smallest, strict)
     found = _along(bounds, law, port, structure, verdict.witness or ())
     if found is not None and port is not None:
-        return ThetaVerdict(_too_weak(port, found, hint), bound, smallest)
+        return ThetaVerdict(_too_weak(port, found, hint, evidence), bound, smallest)
     region = _carried(law, port, structure, _WHOLE)
     if region is not None and port is not None:
         method = "Schur complement and Loewner order, by elimination with exact functions"
@@ -93,7 +93,7 @@ def theta(
         return ThetaVerdict(claim, bound, smallest, _carried(law, port, structure, SPARE) is not None)
     found = None if port is None else port.theta_negative(law.Upsilon, product)
     if found is not None and port is not None:
-        return ThetaVerdict(_too_weak(port, found, hint), bound, smallest)
+        return ThetaVerdict(_too_weak(port, found, hint, evidence), bound, smallest)
     evidence += "; other Lambda may do: no state was found at which the dissipation is too weak"
     method = f"{_SCHUR}; search for a state with too little damping"
     return ThetaVerdict(Claim("theta", Status.UNDECIDED, "all x", method, evidence, hint), bound, smallest)
@@ -151,9 +151,10 @@ def _without_bounds(law: NaturalDamping, port: Port | None) -> Claim:
     return _too_weak(port, found, "raise K_l R_l, or add friction")
 
 
-def _too_weak(port: Port, found: Finding, hint: str) -> Claim:
+def _too_weak(port: Port, found: Finding, hint: str, asked: str = "") -> Claim:
     shown = ", ".join(f"{name} = {value}" for name, value in found.values.items())
     evidence = f"|l + w u|^2 - |Upsilon eta' - y|^2_(4 K_l R_l)^-1 = {found.dissipation} < 0 at {shown}"
+    evidence = f"{asked}; {evidence}" if asked else evidence
     witness = {"x": found.values, "Theta form": found.dissipation}
     return Claim("theta", Status.REFUTED, port.region.text, _SEARCH, evidence, hint, witness)
 
