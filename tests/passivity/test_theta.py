@@ -17,6 +17,8 @@ from pbcgen.symbolic.plain.formulas import rational
 from pbcgen.verify.claims import examine
 from pbcgen.verify.files import digest
 
+pytestmark = pytest.mark.system
+
 
 def _design(D, G, gain, upsilon=None, target=("q1",)):
     n = len(D)

@@ -10,6 +10,8 @@ from documents import GLOBAL, status, with_witness, witness, written_for
 
 from pbcgen import AffineSystem, Design, DynamicExtension, Mechanical, PassiveOutput
 
+pytestmark = pytest.mark.system
+
 OPEN = {"h1": (0, None), "h2": (0, None)}
 RIMS = {"h1": (0, 5), "h2": (0, 3)}
 
