@@ -14,6 +14,8 @@ from pbcgen.proof.tube import Piece, VectorField, closes, motion, passage, turns
 from pbcgen.symbolic.doubles import Doubles
 from pbcgen.symbolic.tape import Tape
 
+pytestmark = pytest.mark.system
+
 
 def loop(states, rates):
     """(F, dF/dx) in doubles, and as tapes."""

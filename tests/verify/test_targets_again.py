@@ -14,6 +14,8 @@ from pbcgen.control.derive import derive
 from pbcgen.proof.claim import Status
 from pbcgen.symbolic.real import lower
 
+pytestmark = pytest.mark.system
+
 LAW = DynamicExtension(alpha=20, beta=2, K_c=10, R_c=1)
 
 
